@@ -1,0 +1,1 @@
+//! The sampling rule as pure functions: `../shared/OCTREE.md` is its specification.

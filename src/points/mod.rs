@@ -1,0 +1,11 @@
+//! Points in memory: attributes, columns, batches, and the raw records that an ingest moves around.
+
+mod attribute;
+mod batch;
+mod column;
+mod record;
+
+pub use attribute::{Attribute, ScalarType, Scaling, canonical_name, same_name};
+pub use batch::{Batch, Positions};
+pub use column::Column;
+pub use record::{Field, FieldKind, PositionKind, RecordLayout};

@@ -1,4 +1,16 @@
 //! An out-of-core point store: scans in, one SQLite file as a layered octree, exact regions and levels of detail out.
 
+pub mod codec;
+pub mod formats;
+pub mod geometry;
+pub mod ingest;
 pub mod lattice;
+pub mod octree;
 pub mod points;
+pub mod query;
+#[cfg(feature = "render")]
+pub mod render;
+pub mod store;
+
+#[cfg(feature = "cli")]
+pub mod cli;

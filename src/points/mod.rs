@@ -3,9 +3,11 @@
 mod attribute;
 mod batch;
 mod column;
+mod provenance;
 mod record;
 
 pub use attribute::{Attribute, ScalarType, Scaling, canonical_name, same_name};
 pub use batch::{Batch, Positions};
 pub use column::Column;
+pub use provenance::{Crs, LasFacts, RawVlr};
 pub use record::{Field, FieldKind, PositionKind, RecordLayout};

@@ -1,0 +1,60 @@
+//! What can be wrong with a point file.
+
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why a point file could not be read or written. Messages name the file and, where there is one, the place.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FormatError {
+    /// The operating system refused.
+    #[error("{path}: {action} failed")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// `opening`, `reading`, `writing`, ...
+        action: &'static str,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// The file is not what it says, or is damaged.
+    #[error("{path}: at byte {offset}: expected {expected}, found {found}")]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Where, in bytes from the start of the file.
+        offset: u64,
+        /// What should be there.
+        expected: String,
+        /// What is.
+        found: String,
+    },
+    /// A valid file that Esker does not read.
+    #[error("{path}: {what} is not supported{remedy}")]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// The feature.
+        what: String,
+        /// Empty, or `; ` and what to do.
+        remedy: String,
+    },
+    /// A crate that decodes the format panicked.
+    #[error("{path}: the decoder broke down at byte {offset}: {message}")]
+    Decoder {
+        /// The file.
+        path: PathBuf,
+        /// Where the piece begins that was being decoded.
+        offset: u64,
+        /// The panic's message.
+        message: String,
+    },
+    /// The answer cannot be written in this form.
+    #[error("{path}: {reason}")]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// Why, and what to do.
+        reason: String,
+    },
+}

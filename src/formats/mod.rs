@@ -1,0 +1,9 @@
+//! Point files in and out. Knows columns and records, not the store.
+
+mod error;
+mod read;
+mod write;
+
+pub use error::FormatError;
+pub use read::{Piece, PointSource, SourceInfo, Tally};
+pub use write::{LasTarget, OutputFormat, OutputPlan, PointWriter};

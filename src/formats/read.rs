@@ -1,0 +1,69 @@
+//! What every reader of point files gives: facts first, then pieces that decode independently.
+
+use super::FormatError;
+use crate::lattice::SourceGrid;
+use crate::points::{Crs, LasFacts, RecordLayout};
+use std::path::PathBuf;
+
+/// What is known of a source before its points are read.
+#[derive(Clone, Debug)]
+pub struct SourceInfo {
+    /// The file.
+    pub path: PathBuf,
+    /// Which cloud of the file, 0 for formats with one.
+    pub index: u32,
+    /// `las`, `laz`, `copc`, `ply`.
+    pub format: &'static str,
+    /// Records that can be read: from the file's size where the header announces more.
+    pub records: u64,
+    /// Records that the header announces beyond those.
+    pub missing: u64,
+    /// The source's integer grid; `None` for floating-point sources.
+    pub grid: Option<SourceGrid>,
+    /// Bounds as the header gives them: a hint that may lie; `None` where there is none or it is not finite.
+    pub bounds_hint: Option<([f64; 3], [f64; 3])>,
+    /// How records are laid out.
+    pub layout: RecordLayout,
+    /// The CRS, if the file has one.
+    pub crs: Option<Crs>,
+    /// For LAS and LAZ.
+    pub las: Option<LasFacts>,
+    /// What a user should know: truncation, waveform packets or faces not kept, header fields that lie.
+    pub warnings: Vec<String>,
+}
+
+/// A run of records that decodes without any other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Piece {
+    /// The first record.
+    pub first: u64,
+    /// How many.
+    pub records: u64,
+}
+
+/// What reading a piece came to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Records given to the sink.
+    pub read: u64,
+    /// Records of the piece that the file turned out not to hold.
+    pub truncated: u64,
+}
+
+/// A point file that has been opened and understood.
+pub trait PointSource: Send + Sync {
+    /// What is known without reading points.
+    fn info(&self) -> &SourceInfo;
+
+    /// Pieces of about `target_records` each, in order, that together are all records. One piece if the format allows
+    /// no more.
+    fn pieces(&self, target_records: u64) -> Vec<Piece>;
+
+    /// Reads the records of a piece in order, giving them to `sink` in runs of whole records of
+    /// `info().layout.stride()` bytes each, at most about 1 MiB at a time. `sink` returns false to stop early.
+    ///
+    /// # Errors
+    ///
+    /// [`FormatError`] if the piece can't be read; runs given before stay valid.
+    fn read(&self, piece: Piece, sink: &mut dyn FnMut(&[u8]) -> bool) -> Result<Tally, FormatError>;
+}

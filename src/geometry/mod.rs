@@ -1,0 +1,1 @@
+//! Boxes, frusta, cameras, in f64.

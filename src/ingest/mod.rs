@@ -1,0 +1,1 @@
+//! Files to store, parallel, out of core.

@@ -1,0 +1,1 @@
+//! Region, filter, detail; selection; execution.

@@ -1,0 +1,1 @@
+//! Pictures: wgpu passes and the reference renderer.

@@ -1,0 +1,3 @@
+//! The SQLite file: rows, snapshots, the writer, verify.
+
+pub mod model;

@@ -1,0 +1,3 @@
+//! All integration tests in one binary, so that SQLite and wgpu are linked once.
+
+mod floors;

@@ -22,17 +22,9 @@ pub enum IngestError {
     /// Nothing to do.
     #[error("no point file among the inputs{0}")]
     NoInput(String),
-    /// The same file twice in one command.
-    #[error("{0} and {1} are the same points; give each source once")]
-    SameTwice(PathBuf, PathBuf),
-    /// The source is in the store, read with other options.
-    #[error("{path}: already in the store as scan '{scan}' with another pose or other options; use `esker replace`")]
-    OtherOptions {
-        /// The source.
-        path: PathBuf,
-        /// The scan that has it.
-        scan: String,
-    },
+    /// One name for several scans.
+    #[error("--name names one scan; give one input with it")]
+    NameOfMany,
     /// A scan of this name is there.
     #[error("the store has a scan named '{0}' from another source; give another --name")]
     NameTaken(String),
@@ -47,20 +39,25 @@ pub enum IngestError {
         found: String,
     },
     /// The store's lattice is fixed and the user asked for another.
-    #[error("the store's quantum is {stored}; --quantum and --phase only apply when a store is created")]
+    #[error("the store's quantum is {stored} and its phase {phase}; --quantum and --phase apply when a store is created")]
     LatticeFixed {
-        /// What it is.
+        /// Its quantum per axis.
         stored: String,
+        /// Its phase per axis.
+        phase: String,
     },
+    /// Scale and offset of a source have too many digits for exact arithmetic.
+    #[error("{0}: its scale and offset can't be brought to the store's lattice exactly; use a quantum of fewer digits")]
+    Grid(PathBuf),
     /// Every point of a source is out of the lattice's range.
-    #[error("{path}: all its {points} points are outside the lattice ({detail}); create the store with a coarser --quantum")]
+    #[error("{path}: all its {points} points are outside the lattice ({range}); create the store with a coarser --quantum")]
     OutOfRange {
         /// The source.
         path: PathBuf,
         /// How many.
         points: u64,
         /// The lattice's range.
-        detail: String,
+        range: String,
     },
     /// A truncated file under `--strict`.
     #[error("{path}: {missing} of the records that its header announces are missing (--strict)")]

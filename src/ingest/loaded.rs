@@ -2,11 +2,12 @@
 
 use super::IngestError;
 use super::gather::ScanColumns;
-use super::partition::{Bucket, Place};
+use super::partition::{Bucket, Place, Segment};
 use super::rows::{RowKey, sort_pairs};
 use super::spill::Spill;
 use crate::lattice::Cube;
 use std::cmp::Ordering;
+use std::sync::Arc;
 
 /// Payloads of rows of several scans, addressed by a number each.
 #[derive(Debug, Default)]
@@ -64,49 +65,87 @@ pub(super) struct Loaded<K> {
     pub payloads: Payloads,
 }
 
-/// Reads the rows of `bucket` that lie in `cube` and sorts them by (key, record bytes, attributes, scan identity).
+/// Calls `each` with the key and the payload of every row of `bucket`, segment by segment.
+pub(super) fn for_each_row<K: RowKey>(
+    bucket: &Bucket,
+    scans: &[ScanColumns<'_>],
+    spill: Option<&Spill>,
+    mut each: impl FnMut(K, Row<'_>),
+) -> Result<(), IngestError> {
+    let mut buffer = Vec::new();
+    for segment in &bucket.segments {
+        rows_of(segment, scans, spill, &mut buffer, &mut each)?;
+    }
+    Ok(())
+}
+
+/// One row without its key.
+pub(super) struct Row<'a> {
+    slot: u32,
+    payload: &'a [u8],
+}
+
+fn rows_of<K: RowKey>(
+    segment: &Segment,
+    scans: &[ScanColumns<'_>],
+    spill: Option<&Spill>,
+    buffer: &mut Vec<u8>,
+    each: &mut impl FnMut(K, Row<'_>),
+) -> Result<(), IngestError> {
+    let bytes = match &segment.place {
+        Place::Memory(bytes) => bytes.as_slice(),
+        Place::Spilled { offset, bytes } => {
+            let spill = spill.ok_or_else(|| IngestError::Internal("a spilled segment without a spill".into()))?;
+            buffer.resize(*bytes, 0);
+            spill.read(buffer, *offset)?;
+            buffer.as_slice()
+        }
+    };
+    let payload = scans[segment.slot as usize].plan.layout.payload;
+    for row in bytes.chunks_exact(K::BYTES + payload) {
+        each(K::read(row), Row { slot: segment.slot, payload: &row[K::BYTES..] });
+    }
+    Ok(())
+}
+
+/// Reads the `rows` rows of `bucket` that lie in `cube` and sorts them by (key, record bytes, attributes, scan
+/// identity). A bucket that nobody else needs gives its memory back segment by segment.
 pub(super) fn load<K: RowKey>(
-    bucket: &mut Bucket,
+    bucket: Arc<Bucket>,
     cube: Cube,
+    rows: u64,
     scans: &[ScanColumns<'_>],
     spill: Option<&Spill>,
 ) -> Result<Loaded<K>, IngestError> {
-    let whole = bucket.cube.k() <= cube.k();
-    let capacity = if whole { usize::try_from(bucket.rows).unwrap_or(0) } else { 0 };
-    if bucket.rows > u64::from(u32::MAX) {
-        return Err(IngestError::Internal(format!("{} points in one bucket", bucket.rows)));
-    }
-    let mut pairs: Vec<(K, u32)> = Vec::with_capacity(capacity);
+    let whole = rows == bucket.rows;
+    let capacity = u32::try_from(rows)
+        .map_err(|_| IngestError::Internal(format!("{rows} points on one place do not fit one bucket")))?;
+    let mut pairs: Vec<(K, u32)> = Vec::with_capacity(capacity as usize);
     let mut payloads = Payloads::default();
-    let (first_key, last_key) = (cube.first_key(), cube.last_key());
-    let mut read = Vec::new();
-    let owned = std::mem::take(&mut bucket.segments);
-    for segment in owned {
-        let payload = scans[segment.slot as usize].plan.layout.payload;
-        let bytes = match &segment.place {
-            Place::Memory(bytes) => bytes.as_slice(),
-            Place::Spilled { offset, bytes } => {
-                let spill = spill.ok_or_else(|| IngestError::Internal("a spilled segment without a spill".into()))?;
-                read.resize(*bytes, 0);
-                spill.read(&mut read, *offset)?;
-                read.as_slice()
-            }
-        };
-        if whole && payloads.bytes.capacity() == 0 {
-            payloads.bytes.reserve_exact(capacity * payload);
-        }
-        for row in bytes.chunks_exact(K::BYTES + payload) {
-            let key = K::read(row);
-            if !whole && !(first_key..=last_key).contains(&key.full(bucket.cube)) {
-                continue;
-            }
+    let bucket_cube = bucket.cube;
+    let (first, last) = (cube.first_key(), cube.last_key());
+    let mut take = |key: K, row: Row<'_>| {
+        if whole || (first..=last).contains(&key.full(bucket_cube)) {
             let number = pairs.len() as u32;
-            payloads.begin(segment.slot, number, payload);
+            if number == 0 {
+                payloads.bytes.reserve_exact(capacity as usize * row.payload.len());
+            }
+            payloads.begin(row.slot, number, row.payload.len());
+            payloads.bytes.extend_from_slice(row.payload);
             pairs.push((key, number));
-            payloads.bytes.extend_from_slice(&row[K::BYTES..]);
         }
-        if !whole {
-            bucket.segments.push(segment);
+    };
+    let mut buffer = Vec::new();
+    match Arc::try_unwrap(bucket) {
+        Ok(owned) => {
+            for segment in owned.segments {
+                rows_of(&segment, scans, spill, &mut buffer, &mut take)?;
+            }
+        }
+        Err(shared) => {
+            for segment in &shared.segments {
+                rows_of(segment, scans, spill, &mut buffer, &mut take)?;
+            }
         }
     }
     let pairs = in_canonical_order(sort_pairs(pairs, cube.k()), &payloads, scans);

@@ -1,3 +1,5 @@
 //! All integration tests in one binary, so that SQLite and wgpu are linked once.
 
+mod fidelity;
 mod floors;
+mod support;

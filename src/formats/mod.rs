@@ -1,6 +1,7 @@
 //! Point files in and out. Knows columns and records, not the store.
 
 mod error;
+pub mod las;
 mod read;
 mod write;
 

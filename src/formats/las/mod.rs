@@ -1,0 +1,3 @@
+//! LAS, LAZ and COPC files in.
+
+pub mod tables;

@@ -7,6 +7,8 @@ mod bounds;
 mod camera;
 mod camera_file;
 mod frustum;
+#[cfg(test)]
+mod tests;
 
 pub use bounds::WorldBox;
 pub use camera::{Camera, CameraError, Projection};

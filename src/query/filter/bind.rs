@@ -1,0 +1,194 @@
+//! Names to columns: an expression on the attributes and scans of one store.
+
+use super::FilterError;
+use super::parser::{Expression, Literal, Name, Relation};
+use super::set::{DecimalSet, ValueSet};
+use crate::lattice::{Decimal, Lattice, LatticePoint};
+use crate::points::{ScalarType, Scaling, canonical_name, same_name};
+use crate::query::error::{did_you_mean, nearest};
+use crate::store::model::{Scan, ScanId, Slot, StoredAttribute};
+
+/// What a filter is bound to.
+pub(crate) struct Names<'a> {
+    pub attributes: &'a [StoredAttribute],
+    pub scans: &'a [Scan],
+    pub lattice: &'a Lattice,
+}
+
+/// A filter on columns.
+#[derive(Clone, Debug)]
+pub(super) enum Bound {
+    And(Vec<Bound>),
+    Or(Vec<Bound>),
+    Not(Box<Bound>),
+    /// The first value that is not null is in the set of its column.
+    Values(Vec<(Source, ValueSet)>),
+    /// All of these are null.
+    Null(Vec<Source>),
+    /// One attribute against another.
+    Pair(Vec<Source>, Relation, Vec<Source>),
+    /// A coordinate, as a set of lattice indices.
+    Axis(usize, ValueSet),
+    /// The point is of one of these scans, ascending.
+    Scans(Vec<ScanId>),
+}
+
+/// One column that a name stands for.
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    pub slot: Slot,
+    pub ty: ScalarType,
+    /// For comparisons with other attributes.
+    pub scaling: Option<Scaling>,
+    /// The stored bytes that mean null.
+    pub no_data: Option<[u8; 8]>,
+    /// The scans that have it, ascending; `None`: all.
+    pub scans: Option<Vec<ScanId>>,
+}
+
+pub(super) fn bind(text: &str, expression: &Expression, names: &Names) -> Result<Bound, FilterError> {
+    let each = |terms: &[Expression]| terms.iter().map(|t| bind(text, t, names)).collect::<Result<Vec<_>, _>>();
+    match expression {
+        Expression::And(terms) => Ok(Bound::And(each(terms)?)),
+        Expression::Or(terms) => Ok(Bound::Or(each(terms)?)),
+        Expression::Not(inner) => Ok(Bound::Not(Box::new(bind(text, inner, names)?))),
+        Expression::Compare(name, relation, literal, at) if is_scan(name) => {
+            let scans = Bound::Scans(vec![scan(text, literal, *at, names)?]);
+            match relation {
+                Relation::Equal => Ok(scans),
+                Relation::NotEqual => Ok(Bound::Not(Box::new(scans))),
+                _ => Err(FilterError::new("scans are compared by =, <> or \"in\"", text, name.at)),
+            }
+        }
+        Expression::In(name, values) if is_scan(name) => {
+            let scans = values.iter().map(|(literal, at)| scan(text, literal, *at, names));
+            let mut scans = scans.collect::<Result<Vec<_>, _>>()?;
+            scans.sort_unstable();
+            scans.dedup();
+            Ok(Bound::Scans(scans))
+        }
+        Expression::Compare(name, relation, literal, at) => {
+            values(text, name, &DecimalSet::of_relation(*relation, number(text, literal, *at)?), names)
+        }
+        Expression::Between(name, low, high) => values(text, name, &DecimalSet::between(*low, *high), names),
+        Expression::In(name, literals) => {
+            let numbers = literals.iter().map(|(literal, at)| number(text, literal, *at));
+            let numbers = numbers.collect::<Result<Vec<_>, _>>()?;
+            values(text, name, &DecimalSet::any_of(numbers.into_iter()), names)
+        }
+        Expression::IsNull(name) => match axis(name, names) {
+            // Every point has coordinates.
+            Some(_) => Ok(Bound::Or(Vec::new())),
+            None => Ok(Bound::Null(sources(text, name, names)?)),
+        },
+        Expression::Pair(a, relation, b) if is_scan(a) && b.quoted => {
+            let literal = Literal::Text(b.name.clone());
+            bind(text, &Expression::Compare(a.clone(), *relation, literal, b.at), names)
+        }
+        Expression::Pair(a, relation, b) => {
+            Ok(Bound::Pair(sources(text, a, names)?, *relation, sources(text, b, names)?))
+        }
+    }
+}
+
+fn is_scan(name: &Name) -> bool {
+    !name.quoted && !name.raw && name.name.eq_ignore_ascii_case("scan")
+}
+
+fn scan(text: &str, literal: &Literal, at: usize, names: &Names) -> Result<ScanId, FilterError> {
+    let (found, asked) = match literal {
+        Literal::Text(asked) => (names.scans.iter().find(|s| s.name == *asked), asked.clone()),
+        Literal::Number(id) => {
+            let exact = |s: &&Scan| Decimal::new(s.id.into(), 0) == *id;
+            (names.scans.iter().find(exact), id.to_string())
+        }
+    };
+    found.map(|s| s.id).ok_or_else(|| {
+        let hint = did_you_mean(&nearest(&asked, names.scans.iter().map(|s| s.name.as_str())));
+        FilterError::new(format!("there is no scan \"{asked}\"{hint}"), text, at)
+    })
+}
+
+fn number(text: &str, literal: &Literal, at: usize) -> Result<Decimal, FilterError> {
+    match literal {
+        Literal::Number(number) => Ok(*number),
+        Literal::Text(_) => {
+            Err(FilterError::new("attributes are numbers; only scans are compared with texts", text, at))
+        }
+    }
+}
+
+/// 0, 1, 2 for `X`, `Y`, `Z`, unless there is an attribute of that name.
+fn axis(name: &Name, names: &Names) -> Option<usize> {
+    let axis = ["x", "y", "z"].iter().position(|a| name.name.eq_ignore_ascii_case(a))?;
+    let taken = names.attributes.iter().any(|a| same_name(&a.attribute.name, &name.name));
+    (!taken && !name.raw).then_some(axis)
+}
+
+fn values(text: &str, name: &Name, set: &DecimalSet, names: &Names) -> Result<Bound, FilterError> {
+    if let Some(axis) = axis(name, names) {
+        let zero = names.lattice.decimal_on_axis(axis, LatticePoint::default().0[axis]);
+        let quantum = names.lattice.quantum()[axis];
+        let set = set.on_integers(quantum, zero).ok_or_else(|| {
+            FilterError::new("this number has too many digits to be compared with a coordinate", text, name.at)
+        })?;
+        return Ok(Bound::Axis(axis, set));
+    }
+    let tests = sources(text, name, names)?.into_iter().map(|source| {
+        let exact = || {
+            let (scale, offset) = match source.scaling {
+                None => (Decimal::new(1, 0), Decimal::ZERO),
+                Some(s) => (Decimal::from_f64(s.scale)?, Decimal::from_f64(s.offset)?),
+            };
+            set.on_integers(scale, offset)
+        };
+        let exact = if source.ty.is_float() { None } else { exact() };
+        let set = exact.unwrap_or_else(|| set.on_floats(source.scaling));
+        (source, set)
+    });
+    Ok(Bound::Values(tests.collect()))
+}
+
+/// The columns that a name stands for: those of exactly this name, else of the same name but for case and underscores,
+/// else those of the LAS dimension that is also called so. There may be several, of different types.
+fn sources(text: &str, name: &Name, names: &Names) -> Result<Vec<Source>, FilterError> {
+    let found = attributes_named(&name.name, names.attributes);
+    if found.is_empty() {
+        let all = names.attributes.iter().map(|a| a.attribute.name.as_str()).chain(["scan", "X", "Y", "Z"]);
+        let message = format!("there is no attribute \"{}\"{}", name.name, did_you_mean(&nearest(&name.name, all)));
+        let hint = if is_scan(name) { "scans are compared by =, <> or \"in\"".into() } else { message };
+        return Err(FilterError::new(hint, text, name.at));
+    }
+    let source = |a: &StoredAttribute| {
+        let having: Vec<ScanId> = names.scans.iter().filter(|s| s.attributes.contains(&a.id)).map(|s| s.id).collect();
+        let scans = (having.len() < names.scans.len()).then(|| {
+            let mut having = having;
+            having.sort_unstable();
+            having
+        });
+        let significant = |mut bytes: [u8; 8]| {
+            bytes[a.attribute.ty.size()..].fill(0);
+            bytes
+        };
+        let (scaling, no_data) =
+            if name.raw { (None, None) } else { (a.attribute.scaling, a.attribute.no_data.map(significant)) };
+        Source { slot: a.id, ty: a.attribute.ty, scaling, no_data, scans }
+    };
+    Ok(found.into_iter().map(source).collect())
+}
+
+/// The attributes that a user means by `name`; several if types differ.
+pub(crate) fn attributes_named<'a>(name: &str, attributes: &'a [StoredAttribute]) -> Vec<&'a StoredAttribute> {
+    let with = |test: &dyn Fn(&str) -> bool| -> Vec<&'a StoredAttribute> {
+        attributes.iter().filter(|a| test(&a.attribute.name)).collect()
+    };
+    let exact = with(&|n| n == name);
+    if !exact.is_empty() {
+        return exact;
+    }
+    let same = with(&|n| same_name(n, name));
+    if !same.is_empty() {
+        return same;
+    }
+    canonical_name(name).map_or_else(Vec::new, |canonical| with(&|n| n == canonical))
+}

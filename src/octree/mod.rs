@@ -5,12 +5,18 @@
 //! ingest; [`Tree`] changes one in place, on any storage of nodes.
 
 pub mod assemble;
+mod bound;
 #[doc(hidden)]
 pub mod naive;
 mod params;
+mod parts;
 mod step;
+mod thin;
 mod win;
 
+pub use bound::{Frontier, Metric, step_bound};
 pub use params::{Params, root_of};
+pub use parts::{LEAST_PART_POINTS, MOST_PARTS, MOST_REPEATED_POINTS, PartPlan, split};
 pub use step::Step;
+pub use thin::{DetailOrder, canonical_order, even_order};
 pub use win::{first_win, steps, wins};

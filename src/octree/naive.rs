@@ -123,7 +123,7 @@ pub(crate) mod tests {
     /// [`points`] with records of few different values, so that some are equal.
     pub(crate) fn numbered(most: usize) -> impl Strategy<Value = Vec<Numbered>> {
         (points(most), prop::collection::vec(0_u8..4, most))
-            .prop_map(|(points, numbers)| points.into_iter().map(|p| Key::of(p)).zip(numbers).collect())
+            .prop_map(|(points, numbers)| points.into_iter().map(Key::of).zip(numbers).collect())
     }
 
     /// Small parameters.

@@ -1,5 +1,6 @@
 //! The steps of the order of detail (OCTREE section 7).
 
+use crate::lattice::BITS;
 use std::cmp::Ordering;
 
 /// A step of the order of detail: the points of one win and one group of ranks. Steps order coarse to fine.
@@ -14,6 +15,22 @@ pub struct Step {
 }
 
 impl Step {
+    /// How many different steps there are.
+    pub(super) const COUNT: usize = 3 * (BITS as usize + 2);
+
+    /// The step of a point of this win and group, as a number in the order of detail, below [`Step::COUNT`].
+    #[inline]
+    pub(super) fn number(win: i8, group: u8) -> usize {
+        let win = win.clamp(-1, BITS as i8);
+        (BITS as i8 - win) as usize * 3 + usize::from(group.clamp(1, 3) - 1)
+    }
+
+    /// The step with this number.
+    pub(super) fn of_number(number: usize) -> Self {
+        let number = number.min(Self::COUNT - 1);
+        Self { win: BITS as i8 - (number / 3) as i8, group: (number % 3) as u8 + 1 }
+    }
+
     /// The last rank of the step's group: with it, `j` = 1, 4 or 7 points of each parent cell are there beside its winner.
     pub fn last_rank(self) -> u8 {
         match self.group {

@@ -1,1 +1,53 @@
-//! Batches to bytes and back; pure.
+//! Chunks: one column of one part of one node as bytes, and back. Pure: bytes in, columns out.
+//!
+//! A chunk is cut into blocks of [`BLOCK_POINTS`] points (the last one shorter), all chunks of a part alike. A
+//! directory at its head says where each block lies, so a block decodes without the others. `docs/format-codec.md` has
+//! every byte.
+//!
+//! What is stored of a value is split in two: a *symbol* (a coarse logarithm, one byte) that zstd's entropy coder
+//! shortens, and the bits below it, which are sensor noise and are packed as they are ([`residual`]). Positions send
+//! the differences of sorted Morton keys through it, columns what remains of a value after the transform that is
+//! estimated cheapest.
+//!
+//! Which rows chunks are kept in, and what a column means, is for others to know.
+
+mod bits;
+mod block;
+mod checksum;
+mod column;
+mod dictionary;
+mod directory;
+mod error;
+mod morton;
+mod position;
+mod reader;
+mod residual;
+mod scratch;
+mod stream;
+#[cfg(test)]
+mod tests;
+mod value;
+mod wide;
+
+pub use checksum::Checksum;
+pub use column::ColumnChunk;
+pub use error::CodecError;
+pub use position::PositionChunk;
+pub use scratch::{Decoder, Encoder};
+
+/// Points of a block: the unit of decoding.
+pub const BLOCK_POINTS: usize = 4096;
+
+/// The most points that a part, and so a chunk, may have.
+pub const MAX_POINTS: usize = 1 << 24;
+
+/// The range of points of block `block`.
+pub fn block_range(block: usize, count: usize) -> std::ops::Range<usize> {
+    let start = block.saturating_mul(BLOCK_POINTS).min(count);
+    start..start.saturating_add(BLOCK_POINTS).min(count)
+}
+
+/// How many blocks `count` points have.
+pub fn block_count(count: usize) -> usize {
+    count.div_ceil(BLOCK_POINTS)
+}

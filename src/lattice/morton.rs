@@ -28,6 +28,10 @@ pub trait SortKey: Copy + Ord + Send + Sync + std::fmt::Debug {
     fn differing_digit(self, other: Self) -> i8;
     /// The digit at `index`, 0 being the finest.
     fn digit(self, index: u8) -> u8;
+    /// The digits from [`LOW_DIGITS`] up, zero where they are not kept, and those below.
+    fn halves(self) -> (u128, u64);
+    /// The reverse of [`SortKey::halves`]; digits that are not kept are dropped.
+    fn from_halves(high: u128, low: u64) -> Self;
 }
 
 impl SortKey for u64 {
@@ -42,6 +46,14 @@ impl SortKey for u64 {
     fn digit(self, index: u8) -> u8 {
         (self >> (3 * index)) as u8 & 7
     }
+
+    fn halves(self) -> (u128, u64) {
+        (0, self)
+    }
+
+    fn from_halves(_: u128, low: u64) -> Self {
+        low
+    }
 }
 
 impl SortKey for Key {
@@ -54,6 +66,14 @@ impl SortKey for Key {
 
     fn digit(self, index: u8) -> u8 {
         if index < LOW_DIGITS { self.low.digit(index) } else { (self.high >> (3 * (index - LOW_DIGITS))) as u8 & 7 }
+    }
+
+    fn halves(self) -> (u128, u64) {
+        (self.high, self.low)
+    }
+
+    fn from_halves(high: u128, low: u64) -> Self {
+        Self { high, low }
     }
 }
 

@@ -1,0 +1,74 @@
+//! What all chunks begin with: the codec, the count, and the lengths of the blocks.
+//!
+//! The head is `codec u8, count varint`; the kind's own bytes follow, and then per block its length as a varint.
+
+use super::reader::{Reader, put_varint};
+use super::{CodecError, MAX_POINTS, block_count};
+
+/// Writes codec and count.
+pub(super) fn put_head(codec: u8, count: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
+    if !(0..=MAX_POINTS).contains(&count) {
+        return Err(CodecError::TooManyPoints { count });
+    }
+    out.push(codec);
+    put_varint(count as u64, out);
+    Ok(())
+}
+
+/// Reads codec and count, which must be those expected.
+pub(super) fn read_head(reader: &mut Reader, expected: u8, count: usize) -> Result<(), CodecError> {
+    if !(0..=MAX_POINTS).contains(&count) {
+        return Err(CodecError::TooManyPoints { count });
+    }
+    let found = reader.u8("codec")?;
+    if found != expected {
+        return Err(CodecError::Codec { expected, found });
+    }
+    let found = reader.varint("count of points")?;
+    if found != count as u64 {
+        return Err(CodecError::Count { expected: count, found });
+    }
+    Ok(())
+}
+
+/// The blocks of a chunk.
+#[derive(Clone, Debug)]
+pub(super) struct Directory<'a> {
+    /// The end of each block in `bytes`, ascending.
+    ends: Vec<usize>,
+    bytes: &'a [u8],
+}
+
+impl<'a> Directory<'a> {
+    /// Takes the lengths and then all bytes that are left; the blocks fill them exactly.
+    pub(super) fn read(mut reader: Reader<'a>, count: usize) -> Result<Self, CodecError> {
+        const PLACE: &str = "lengths of the blocks";
+        let blocks = block_count(count);
+        let mut ends = Vec::with_capacity(blocks);
+        let mut end = 0_usize;
+        for _ in 0..blocks {
+            let length = reader.varint(PLACE)?;
+            let limit = reader.rest().len();
+            let next = usize::try_from(length).ok().and_then(|l| end.checked_add(l)).filter(|e| *e <= limit);
+            end = next.ok_or(CodecError::Range { place: PLACE, found: length, limit: limit as u64 })?;
+            ends.push(end);
+        }
+        let bytes = reader.rest();
+        if end != bytes.len() {
+            return Err(CodecError::Length { place: "blocks", expected: end, found: bytes.len() });
+        }
+        Ok(Self { ends, bytes })
+    }
+
+    /// The number of blocks.
+    pub(super) fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// The bytes of one block.
+    pub(super) fn block(&self, block: usize) -> Result<&'a [u8], CodecError> {
+        let end = *self.ends.get(block).ok_or(CodecError::Block { block, blocks: self.ends.len() })?;
+        let start = block.checked_sub(1).map_or(0, |before| self.ends[before]);
+        Ok(&self.bytes[start..end])
+    }
+}

@@ -1,0 +1,49 @@
+//! What encoding and decoding keep from one chunk to the next: zstd's contexts and buffers of a block's size.
+
+use super::stream::{StreamReader, StreamWriter};
+
+/// Encodes chunks, one at a time; keep one per thread.
+#[derive(Debug, Default)]
+pub struct Encoder {
+    pub(super) streams: StreamWriter,
+    pub(super) buffers: Buffers,
+    /// All blocks of a chunk, before their directory is known.
+    pub(super) blocks: Vec<u8>,
+    /// The blocks' ends in `blocks`.
+    pub(super) ends: Vec<usize>,
+}
+
+/// The values of one block on their way into bytes.
+#[derive(Debug, Default)]
+pub(super) struct Buffers {
+    /// The values as integers.
+    pub(super) values: Vec<u64>,
+    /// What is left of them after prediction.
+    pub(super) residuals: Vec<u64>,
+    /// Packed indices.
+    pub(super) indices: Vec<u8>,
+}
+
+/// Decodes chunks, one at a time; keep one per thread.
+#[derive(Debug, Default)]
+pub struct Decoder {
+    pub(super) streams: StreamReader,
+    /// Packed indices.
+    pub(super) indices: Vec<u8>,
+    /// The values of one block as integers.
+    pub(super) values: Vec<u64>,
+}
+
+impl Encoder {
+    /// Fresh contexts.
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+impl Decoder {
+    /// Fresh contexts.
+    pub fn new() -> Self {
+        Self::default()
+    }
+}

@@ -1,0 +1,228 @@
+//! Laws of whole chunks: all comes back, nothing malformed passes for more than it is.
+
+use super::*;
+use crate::lattice::{Cube, Key, LatticeBox, LatticePoint};
+use crate::points::{Column, Positions, ScalarType};
+use crate::with_column;
+use proptest::prelude::*;
+
+/// A cube and points in it, in key order, some of them repeated; more than a block now and then.
+fn cloud(max_k: u8) -> impl Strategy<Value = (Cube, Vec<Key>)> {
+    let offsets = prop::collection::vec((prop::array::uniform3(any::<u64>()), 0_u32..48), 0..120);
+    (prop::array::uniform3(0_u64..1 << 48), 0..=max_k, offsets, prop_oneof![4 => Just(1_usize), 1 => 2..200_usize])
+        .prop_map(|(p, k, offsets, repeat)| {
+            let cube = Cube::containing(LatticePoint(p), k);
+            let inside = |o: u64, shift: u32| (o & (cube.side() - 1)) >> shift.min(u32::from(k));
+            let point = |(o, shift): ([u64; 3], u32)| {
+                Key::of(LatticePoint(std::array::from_fn(|i| cube.low().0[i] + inside(o[i], shift))))
+            };
+            let mut keys: Vec<_> =
+                offsets.into_iter().map(point).flat_map(|k| std::iter::repeat_n(k, repeat)).collect();
+            keys.sort_unstable();
+            (cube, keys)
+        })
+}
+
+/// Columns of all types: constant, of few values, in small steps, stepped, or any bits at all.
+fn column() -> impl Strategy<Value = Column> {
+    let ty = (0..ScalarType::ALL.len()).prop_map(|i| ScalarType::ALL[i]);
+    let len = prop_oneof![4 => 0_usize..300, 1 => 4090_usize..9000];
+    (ty, len, 0_u32..64, any::<u64>(), any::<u64>(), 0_u8..5, 1_u64..300).prop_map(
+        |(ty, len, shift, seed, start, shape, step)| {
+            let mut state = seed | 1;
+            let mut next = || {
+                state ^= state << 13;
+                state ^= state >> 7;
+                state ^= state << 17;
+                state
+            };
+            let mut bits = start;
+            let mut value = || {
+                bits = match shape {
+                    0 => start,
+                    1 => bits.wrapping_add(next() >> shift).wrapping_sub(next() >> shift),
+                    2 => start.wrapping_add((next() >> shift).wrapping_mul(step)),
+                    3 => [start, next(), !start][(next() % 100).saturating_sub(97) as usize],
+                    _ => next(),
+                };
+                bits
+            };
+            let mut column = Column::zeros(ty, len);
+            with_column!(&mut column, values => values.iter_mut().for_each(|v| {
+                *v = value::Value::of_bits(value());
+            }));
+            column
+        },
+    )
+}
+
+fn bits(column: &Column) -> Vec<[u8; 8]> {
+    (0..column.len()).map(|i| column.raw(i)).collect()
+}
+
+/// Decodes everything that a chunk of positions offers, whatever its bytes are.
+fn read_positions(bytes: &[u8], cube: Cube, count: usize) -> Result<Positions, CodecError> {
+    let mut positions = Positions::default();
+    let mut keys = Vec::<Key>::new();
+    let chunk = PositionChunk::parse(bytes, cube, count)?;
+    chunk.decode_keys(&mut Decoder::new(), &mut keys)?;
+    chunk.decode(&mut Decoder::new(), &mut positions)?;
+    assert_eq!(positions.len(), count);
+    assert!(positions.iter().all(|p| cube.contains(p)));
+    assert!(positions.iter().map(Key::of).eq(keys.iter().copied()));
+    assert!(keys.chunks(BLOCK_POINTS).all(|block| block.is_sorted()));
+    Ok(positions)
+}
+
+fn read_column(bytes: &[u8], ty: ScalarType, count: usize) -> Result<Column, CodecError> {
+    let mut column = Column::zeros(ty, 0);
+    ColumnChunk::parse(bytes, ty, count)?.decode(&mut Decoder::new(), &mut column)?;
+    assert_eq!(column.len(), count);
+    Ok(column)
+}
+
+proptest! {
+    #[test]
+    fn positions_come_back_block_by_block_with_tight_bounds((cube, keys) in prop_oneof![cloud(21), cloud(48)]) {
+        let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+        let mut bytes = vec![9; 3];
+        encoder.positions(cube, &keys, &mut bytes).unwrap();
+        let chunk = PositionChunk::parse(&bytes[3..], cube, keys.len()).unwrap();
+        prop_assert_eq!(chunk.blocks().len(), block_count(keys.len()));
+        for (block, bounds) in chunk.blocks().iter().enumerate() {
+            let keys = &keys[block_range(block, keys.len())];
+            let (mut positions, mut back) = (Positions::default(), Vec::<Key>::new());
+            chunk.decode_block(&mut decoder, block, &mut positions).unwrap();
+            prop_assert!(positions.iter().eq(keys.iter().map(|k| k.point())));
+            chunk.decode_block_keys(&mut decoder, block, &mut back).unwrap();
+            prop_assert_eq!(&back[..], keys);
+            let tight = positions.iter().fold(LatticeBox::of(keys[0].point()), |b, p| b.with(p));
+            prop_assert_eq!(*bounds, tight);
+        }
+        if cube.k() <= 21 {
+            let low: Vec<u64> = keys.iter().map(|k| k.low).collect();
+            let mut same = Vec::new();
+            encoder.positions(cube, &low, &mut same).unwrap();
+            prop_assert_eq!(&same[..], &bytes[3..]);
+            let mut back: Vec<u64> = Vec::new();
+            chunk.decode_keys(&mut decoder, &mut back).unwrap();
+            prop_assert_eq!(back, low);
+        }
+        prop_assert_eq!(read_positions(&bytes[3..], cube, keys.len()).unwrap().len(), keys.len());
+    }
+
+    #[test]
+    fn keys_out_of_order_or_outside_are_errors((cube, keys) in prop_oneof![cloud(21), cloud(47)], at: prop::sample::Index) {
+        prop_assume!(keys.first() != keys.last());
+        let mut out = vec![1, 2];
+        let mut swapped = keys.clone();
+        let at = at.index(keys.len());
+        swapped.rotate_left(at);
+        if at > 0 && swapped != keys {
+            let error = Encoder::new().positions(cube, &swapped, &mut out);
+            let refused = matches!(error, Err(CodecError::Key { .. }));
+            prop_assert!(refused);
+        }
+        let other = Cube::containing(cube.parent().child(cube.octant() ^ 1).unwrap().low(), cube.k());
+        let refused = matches!(Encoder::new().positions(other, &keys, &mut out), Err(CodecError::Key { .. }));
+        prop_assert!(refused);
+        prop_assert_eq!(out, [1, 2]);
+    }
+
+    #[test]
+    fn columns_come_back_bit_for_bit(column in column()) {
+        let mut bytes = vec![7];
+        let mut encoder = Encoder::new();
+        encoder.column(&column, &mut bytes).unwrap();
+        let chunk = ColumnChunk::parse(&bytes[1..], column.ty(), column.len()).unwrap();
+        let (mut back, mut decoder) = (Column::zeros(column.ty(), 1), Decoder::new());
+        for block in 0..chunk.blocks() {
+            chunk.decode_block(&mut decoder, block, &mut back).unwrap();
+        }
+        prop_assert_eq!(&bits(&back)[1..], &bits(&column)[..]);
+        prop_assert_eq!(bits(&read_column(&bytes[1..], column.ty(), column.len()).unwrap()), bits(&column));
+        // At most the values themselves and a little.
+        prop_assert!(bytes.len() <= 16 + (column.ty().size() * column.len()) + 8 * chunk.blocks());
+        let constant = (1..column.len()).all(|i| column.raw(i) == column.raw(0)) && !column.is_empty();
+        prop_assert_eq!(chunk.constant(), constant.then(|| column.raw(0)));
+        prop_assert!(!constant || bytes.len() <= 14);
+    }
+
+    #[test]
+    fn damaged_positions_are_errors_or_points_of_the_cube(
+        (cube, keys) in prop_oneof![cloud(21), cloud(48)],
+        flips in prop::collection::vec((any::<prop::sample::Index>(), 1_u8..), 1..4),
+        cut: prop::sample::Index,
+    ) {
+        let mut bytes = Vec::new();
+        Encoder::new().positions(cube, &keys, &mut bytes).unwrap();
+        prop_assert!(read_positions(&bytes[..cut.index(bytes.len())], cube, keys.len()).is_err());
+        prop_assert!(read_positions(&bytes, cube, keys.len() + 1).is_err());
+        prop_assert!(ColumnChunk::parse(&bytes, ScalarType::U8, keys.len()).is_err());
+        for (at, flip) in flips {
+            *at.get_mut(&mut bytes) ^= flip;
+        }
+        let _ = read_positions(&bytes, cube, keys.len());
+    }
+
+    #[test]
+    fn damaged_columns_are_errors_or_values(
+        column in column(),
+        flips in prop::collection::vec((any::<prop::sample::Index>(), 1_u8..), 1..4),
+        cut: prop::sample::Index,
+    ) {
+        let mut bytes = Vec::new();
+        Encoder::new().column(&column, &mut bytes).unwrap();
+        let (ty, count) = (column.ty(), column.len());
+        prop_assert!(read_column(&bytes[..cut.index(bytes.len())], ty, count).is_err());
+        prop_assert!(read_column(&bytes, ty, count + 1).is_err());
+        for other in ScalarType::ALL {
+            prop_assert!(other == ty || ColumnChunk::parse(&bytes, other, count).is_err());
+        }
+        for (at, flip) in flips {
+            *at.get_mut(&mut bytes) ^= flip;
+        }
+        let _ = read_column(&bytes, ty, count);
+    }
+
+    #[test]
+    fn any_bytes_at_all_are_errors_or_points(
+        mut bytes in prop::collection::vec(any::<u8>(), 0..200),
+        codec in 1_u8..=2,
+        count in 0_usize..100,
+        k in 0_u8..=48,
+        ty in 0..ScalarType::ALL.len(),
+    ) {
+        // With the right beginning, so that what follows is looked at.
+        bytes.splice(0..bytes.len().min(2), [codec, count as u8]);
+        let cube = Cube::containing(LatticePoint([1 << 47; 3]), k);
+        let _ = read_positions(&bytes, cube, count);
+        let _ = read_column(&bytes, ScalarType::ALL[ty], count);
+    }
+}
+
+#[test]
+fn more_points_than_a_part_may_have_are_an_error() {
+    let count = MAX_POINTS + 1;
+    let cube = Cube::containing(LatticePoint::default(), 0);
+    let error = CodecError::TooManyPoints { count };
+    assert_eq!(PositionChunk::parse(&[], cube, count).unwrap_err(), error);
+    assert_eq!(ColumnChunk::parse(&[], ScalarType::F64, count).unwrap_err(), error);
+    let mut out = Vec::new();
+    assert_eq!(Encoder::new().column(&Column::zeros(ScalarType::U8, count), &mut out).unwrap_err(), error);
+    assert_eq!(Encoder::new().positions(cube, &vec![0_u64; count], &mut out).unwrap_err(), error);
+    assert!(out.is_empty());
+}
+
+#[test]
+fn ten_million_coincident_points_cost_almost_nothing() {
+    let cube = Cube::containing(LatticePoint([5; 3]), 0);
+    let count = 10_000_000;
+    let mut bytes = Vec::new();
+    Encoder::new().positions(cube, &vec![cube.first_key().low; count], &mut bytes).unwrap();
+    assert!(bytes.len() < count / 100, "{} bytes", bytes.len());
+    let chunk = PositionChunk::parse(&bytes, cube, count).unwrap();
+    let mut positions = Positions::default();
+    chunk.decode_block(&mut Decoder::new(), 1234, &mut positions).unwrap();
+    assert!(positions.iter().all(|p| p == cube.low()));
+}

@@ -1,0 +1,142 @@
+//! Values of any type as unsigned integers in the order of the values, and back, bit for bit.
+
+/// One value of a column.
+pub(super) trait Value: Copy + Default {
+    /// The value as an unsigned integer of the type's width. Integers and finite floats keep their order; every NaN
+    /// and both zeros stay apart.
+    fn ordered(self) -> u64;
+    /// The reverse of [`Value::ordered`]; bits above the type's width are ignored.
+    fn from_ordered(ordered: u64) -> Self;
+    /// The value's own bits.
+    fn bits(self) -> u64;
+    /// The reverse of [`Value::bits`]; bits above the type's width are ignored.
+    fn of_bits(bits: u64) -> Self;
+}
+
+macro_rules! unsigned {
+    ($($t:ty),*) => {$(
+        impl Value for $t {
+            #[inline]
+            fn ordered(self) -> u64 {
+                u64::from(self)
+            }
+
+            #[inline]
+            fn from_ordered(ordered: u64) -> Self {
+                ordered as $t
+            }
+
+            #[inline]
+            fn bits(self) -> u64 {
+                u64::from(self)
+            }
+
+            #[inline]
+            fn of_bits(bits: u64) -> Self {
+                bits as $t
+            }
+        }
+    )*};
+}
+
+macro_rules! signed {
+    ($($t:ty as $u:ty),*) => {$(
+        impl Value for $t {
+            #[inline]
+            fn ordered(self) -> u64 {
+                u64::from((self ^ <$t>::MIN) as $u)
+            }
+
+            #[inline]
+            fn from_ordered(ordered: u64) -> Self {
+                ordered as $t ^ <$t>::MIN
+            }
+
+            #[inline]
+            fn bits(self) -> u64 {
+                u64::from(self as $u)
+            }
+
+            #[inline]
+            fn of_bits(bits: u64) -> Self {
+                bits as $t
+            }
+        }
+    )*};
+}
+
+macro_rules! float {
+    ($($t:ty as $u:ty),*) => {$(
+        impl Value for $t {
+            #[inline]
+            fn ordered(self) -> u64 {
+                let bits = self.to_bits();
+                let sign = 1 << (<$u>::BITS - 1);
+                // Negative numbers grow downwards.
+                u64::from(if bits & sign == 0 { bits | sign } else { !bits })
+            }
+
+            #[inline]
+            fn from_ordered(ordered: u64) -> Self {
+                let ordered = ordered as $u;
+                let sign = 1 << (<$u>::BITS - 1);
+                Self::from_bits(if ordered & sign == 0 { !ordered } else { ordered ^ sign })
+            }
+
+            #[inline]
+            fn bits(self) -> u64 {
+                u64::from(self.to_bits())
+            }
+
+            #[inline]
+            fn of_bits(bits: u64) -> Self {
+                Self::from_bits(bits as $u)
+            }
+        }
+    )*};
+}
+
+unsigned!(u8, u16, u32, u64);
+signed!(i8 as u8, i16 as u16, i32 as u32, i64 as u64);
+float!(f32 as u32, f64 as u64);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn check<T: Value + PartialOrd>(a: T, b: T) {
+        for value in [a, b] {
+            assert_eq!(T::from_ordered(value.ordered()).bits(), value.bits());
+            assert_eq!(T::of_bits(value.bits()).bits(), value.bits());
+            assert!(value.ordered() >> (8 * size_of::<T>() - 1) <= 1);
+        }
+        if a < b {
+            assert!(a.ordered() < b.ordered());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn ordered_integers_keep_bits_and_order(a: u64, b: u64) {
+            check(a as u8, b as u8);
+            check(a as i8, b as i8);
+            check(a as u16, b as u16);
+            check(a as i16, b as i16);
+            check(a as u32, b as u32);
+            check(a as i32, b as i32);
+            check(a, b);
+            check(a as i64, b as i64);
+            check(f32::from_bits(a as u32), f32::from_bits(b as u32));
+            check(f64::from_bits(a), f64::from_bits(b));
+        }
+    }
+
+    #[test]
+    fn special_floats_stay_apart() {
+        for bits in [0, 1 << 63, f64::NAN.to_bits(), 0x7ff0_0000_0000_0001, u64::MAX] {
+            check(f64::from_bits(bits), f64::from_bits(!bits));
+        }
+        assert_ne!(0.0_f64.ordered(), (-0.0_f64).ordered());
+    }
+}

@@ -1,1 +1,22 @@
-//! The sampling rule as pure functions: `../shared/OCTREE.md` is its specification.
+//! The canonical layered octree as pure functions on points in memory: where a point is stored, in which order a node's
+//! points give detail, and how far from the truth any part of them is. Specified by `OCTREE.md`.
+//!
+//! Nothing here knows of attributes, bytes or files. [`assemble`](mod@assemble) builds a tree from sorted buckets, for
+//! ingest; [`Tree`] changes one in place, on any storage of nodes.
+
+pub mod assemble;
+mod bound;
+#[doc(hidden)]
+pub mod naive;
+mod params;
+mod parts;
+mod step;
+mod thin;
+mod win;
+
+pub use bound::{Frontier, Metric, step_bound};
+pub use params::{Params, root_of};
+pub use parts::{LEAST_PART_POINTS, MOST_PARTS, MOST_REPEATED_POINTS, PartPlan, split};
+pub use step::Step;
+pub use thin::{DetailOrder, canonical_order, even_order};
+pub use win::{first_win, steps, wins};

@@ -1,6 +1,7 @@
 //! What the store's rows say, as checked types. How they are written as bytes is `rows`' business.
 
 use crate::lattice::{Cube, Exactness, Lattice, LatticeBox};
+pub use crate::octree::Step;
 use crate::points::{Attribute, Crs, LasFacts};
 
 /// The number of a scan in its store; never used again after the scan is gone.
@@ -108,16 +109,6 @@ pub struct StoredAttribute {
     pub id: Slot,
     /// Name, type, scaling, no-data, description.
     pub attribute: Attribute,
-}
-
-/// The end of a step of the order of detail (OCTREE section 7): all points with a larger win, and those of this win up
-/// to this group, are there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Step {
-    /// Exponent of the cell that the step's points win; -1 for repeated positions.
-    pub win: i8,
-    /// 1, 2, 3 for ranks {1}, {2-4}, {5-7}.
-    pub group: u8,
 }
 
 /// What a node row says of one part.

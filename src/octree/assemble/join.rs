@@ -1,0 +1,301 @@
+//! The nodes above the buckets: subtrees joined in key order.
+
+use super::{Params, Place, bucket::BucketRest, build_bucket};
+use crate::lattice::{Cube, Key, LOW_DIGITS};
+use crate::octree::{first_win, wins};
+
+/// A point on its way up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Entry<T> {
+    /// Its full key.
+    pub key: Key,
+    /// The exponent of the largest cell that it wins.
+    pub win: i8,
+    /// What the caller carries.
+    pub item: T,
+}
+
+/// What is known of an aligned cube below the root after all nodes inside that are sure have been given out.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Subtree<T> {
+    /// The cube.
+    pub cube: Cube,
+    /// The remaining points of the cube's own node, if it was given out.
+    pub built: Option<u64>,
+    /// The points not stored in any node given out, in key order.
+    pub entries: Vec<Entry<T>>,
+}
+
+impl<T> Subtree<T> {
+    /// The left-over of a bucket, its points taken over through `entry`.
+    pub fn from_bucket(cube: Cube, rest: &BucketRest, entry: impl FnMut(u32) -> Entry<T>) -> Self {
+        Self { cube, built: rest.built, entries: rest.points.iter().copied().map(entry).collect() }
+    }
+}
+
+/// A node above the buckets, given out after all of its children.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OwnedNode<T> {
+    /// The cube.
+    pub cube: Cube,
+    /// Does it store everything that remains in its cube?
+    pub leaf: bool,
+    /// Bit `octant` (plain, as in [`Cube::child`]) is set where there is a child.
+    pub children: u8,
+    /// Points stored here or below.
+    pub rem: u64,
+    /// Its own points, in key order.
+    pub entries: Vec<Entry<T>>,
+}
+
+/// Joins subtrees, given in key order, up to the root.
+///
+/// At any time it holds the points that belong above what was given, and at most `leaf_capacity` waiting points for each
+/// open cube.
+#[derive(Debug)]
+pub struct Assembler<T> {
+    root: Cube,
+    params: Params,
+    /// In key order. Of two neighbours, the first is a child of the smallest cube that holds both.
+    open: Vec<Subtree<T>>,
+}
+
+impl<T> Assembler<T> {
+    /// For a tree with this root.
+    pub fn new(root: Cube, params: Params) -> Self {
+        Self { root, params, open: Vec::new() }
+    }
+
+    /// Takes the next subtree; gives out the nodes that became sure.
+    ///
+    /// # Panics
+    ///
+    /// Unless the cube is smaller than the root and lies after all cubes before it in key order. (A bucket that holds
+    /// the root is built by [`build_bucket`] as [`Place::Root`].)
+    pub fn push(&mut self, subtree: Subtree<T>, emit: &mut impl FnMut(OwnedNode<T>)) {
+        let cube = subtree.cube;
+        assert!(cube != self.root && self.root.contains_cube(cube), "a bucket must be smaller than the root");
+        if let Some(last) = self.open.last() {
+            assert!(last.cube.last_key() < cube.first_key(), "buckets must come in key order");
+            let shared = Cube::spanning(last.cube.low(), cube.low(), 0);
+            self.close(shared.k().saturating_sub(1), emit);
+        }
+        self.open.push(subtree);
+    }
+
+    /// Gives out what is left, the root last. Nothing at all if nothing was pushed.
+    pub fn finish(mut self, emit: &mut impl FnMut(OwnedNode<T>)) {
+        if !self.open.is_empty() {
+            self.close(self.root.k().saturating_sub(1), emit);
+            combine(self.root, self.open, Place::Root, self.params, emit);
+        }
+    }
+
+    /// Joins the last subtree with its siblings until its exponent is `k`.
+    fn close(&mut self, k: u8, emit: &mut impl FnMut(OwnedNode<T>)) {
+        while let Some(last) = self.open.last().filter(|s| s.cube.k() < k) {
+            let parent = last.cube.parent();
+            let siblings = self.open.iter().rev().take_while(|s| parent.contains_cube(s.cube)).count();
+            let children = self.open.split_off(self.open.len() - siblings);
+            self.open.push(combine(parent, children, Place::Below, self.params, emit));
+        }
+    }
+}
+
+/// Joins the subtrees of the octants of `cube`, in key order, those without points left out.
+///
+/// If the cube's node is sure it is given out, and before it the leaves among its children that were waiting for that.
+/// At the root everything is sure.
+fn combine<T>(
+    cube: Cube,
+    children: Vec<Subtree<T>>,
+    place: Place,
+    params: Params,
+    emit: &mut impl FnMut(OwnedNode<T>),
+) -> Subtree<T> {
+    let k = cube.k();
+    let taken = place.taken(k, params);
+    let waiting = |s: &Subtree<T>| s.entries.iter().filter(|e| e.win < taken).count() as u64;
+    let rem = children.iter().map(|s| s.built.unwrap_or(0) + waiting(s)).sum();
+    let leaf = params.is_leaf(k, rem);
+    let waits = rem <= u64::from(params.leaf_capacity) || k < params.g;
+    let mut mask = 0;
+    let mut entries = Vec::new();
+    for mut child in children {
+        let mut present = child.built.is_some();
+        if !leaf && !present {
+            // Its parent is no leaf, so it is a node: a leaf, because it waited.
+            let (own, above): (Vec<_>, _) = child.entries.into_iter().partition(|e| e.win < params.cell(k));
+            child.entries = above;
+            present = !own.is_empty();
+            if present {
+                let rem = own.len() as u64;
+                emit(OwnedNode { cube: child.cube, leaf: true, children: 0, rem, entries: own });
+            }
+        }
+        mask |= u8::from(present) << child.cube.octant();
+        if entries.is_empty() { entries = child.entries } else { entries.append(&mut child.entries) }
+    }
+    if rem == 0 || place == Place::Below && waits {
+        return Subtree { cube, built: None, entries };
+    }
+    let (own, above) = entries.into_iter().partition(|e| e.win < taken);
+    emit(OwnedNode { cube, leaf, children: mask, rem, entries: own });
+    Subtree { cube, built: Some(rem), entries: above }
+}
+
+/// Builds a whole tree in memory from buckets in key order, each with its points sorted by key: the reference of how
+/// ingest drives [`build_bucket`] and [`Assembler`].
+///
+/// `root` is [`super::super::root_of`] the points. Nodes come after their children.
+///
+/// # Panics
+///
+/// If the buckets overlap, are out of order or leave the root (one bucket may hold the whole root), or a bucket has 2^32
+/// points or more.
+pub fn assemble<T: Copy>(
+    root: Cube,
+    buckets: impl IntoIterator<Item = (Cube, Vec<(Key, T)>)>,
+    params: Params,
+    mut emit: impl FnMut(OwnedNode<T>),
+) {
+    let mut assembler = Assembler::new(root, params);
+    let mut previous = None;
+    for (cube, points) in buckets.into_iter().filter(|(_, points)| !points.is_empty()) {
+        let whole = cube.contains_cube(root);
+        let (cube, place) = if whole { (root, Place::Root) } else { (cube, Place::Below) };
+        let first = first_win(previous.replace(cube), cube, root);
+        let keys: Vec<Key> = points.iter().map(|p| p.0).collect();
+        let entry = |wins: &[i8], i: u32| {
+            let (key, item) = points[i as usize];
+            Entry { key, win: wins[i as usize], item }
+        };
+        let mut owned = |wins: &[i8], node: super::EmittedNode| {
+            let entries = node.points.iter().map(|&i| entry(wins, i)).collect();
+            emit(OwnedNode { cube: node.cube, leaf: node.leaf, children: node.children, rem: node.rem, entries });
+        };
+        let (wins, rest) = if cube.k() <= LOW_DIGITS {
+            let keys: Vec<u64> = keys.iter().map(|k| k.low).collect();
+            let wins = wins(&keys, first);
+            let rest = build_bucket(cube, &keys, &wins, place, params, |node| owned(&wins, node));
+            (wins, rest)
+        } else {
+            let wins = wins(&keys, first);
+            let rest = build_bucket(cube, &keys, &wins, place, params, |node| owned(&wins, node));
+            (wins, rest)
+        };
+        if !whole {
+            assembler.push(Subtree::from_bucket(cube, &rest, |i| entry(&wins, i)), &mut emit);
+        }
+    }
+    assembler.finish(&mut emit);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::{LatticeBox, LatticePoint, NodeKey};
+    use crate::octree::naive::{self, NaiveNode, tests as given};
+    use crate::octree::root_of;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    type Nodes = BTreeMap<NodeKey, NaiveNode<given::Numbered>>;
+
+    /// The root, from bounds.
+    fn root(points: &[given::Numbered], params: Params) -> Cube {
+        let bounds = points.iter().fold(LatticeBox::of(given::at(&points[0])), |b, p| b.with(given::at(p)));
+        root_of(&bounds, params)
+    }
+
+    /// Disjoint cubes around all points, in key order, of exponents that the hash of their corner picks from `ks`.
+    fn buckets(points: &[given::Numbered], root: Cube, ks: &[u8]) -> Vec<(Cube, Vec<given::Numbered>)> {
+        let mut buckets: Vec<(Cube, Vec<given::Numbered>)> = Vec::new();
+        for &p in points {
+            if let Some((cube, members)) = buckets.last_mut()
+                && cube.contains(given::at(&p))
+            {
+                members.push(p);
+                continue;
+            }
+            // The largest cube around the point whose own corner asks for exactly its exponent.
+            let asks = |c: &Cube| {
+                let mix = c.low().0.iter().fold(7_u64, |h, x| (h ^ x).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+                ks[(mix >> 33) as usize % ks.len()] == c.k()
+            };
+            let least = *ks.iter().min().unwrap();
+            let cube = (least..=root.k()).rev().map(|k| Cube::containing(given::at(&p), k)).find(asks);
+            buckets.push((cube.unwrap_or(Cube::containing(given::at(&p), least)), vec![p]));
+        }
+        buckets
+    }
+
+    fn built(points: &[given::Numbered], ks: &[u8], params: Params) -> Nodes {
+        let mut points = points.to_vec();
+        points.sort();
+        let root = root(&points, params);
+        let mut nodes = Nodes::new();
+        assemble(root, buckets(&points, root, ks), params, |node| {
+            let mut children = 0;
+            for octant in 0..8 {
+                if node.cube.child(octant).is_some_and(|c| nodes.contains_key(&c.node_key())) {
+                    children |= 1 << octant;
+                }
+            }
+            assert_eq!(children, node.children, "children come before their parent, and the mask names them");
+            assert!(node.entries.windows(2).all(|w| w[0].key <= w[1].key));
+            let mut own: Vec<_> = node.entries.iter().map(|e| (e.key, e.item)).collect();
+            own.sort();
+            assert!(nodes.insert(node.cube.node_key(), (node.leaf, node.rem, own)).is_none());
+        });
+        nodes
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(600))]
+        #[test]
+        fn any_buckets_give_the_tree_of_the_definition(
+            points in given::numbered(120),
+            params in given::params(),
+            ks in prop::collection::vec(0_u8..=24, 1..4),
+        ) {
+            prop_assert_eq!(built(&points, &ks, params), naive::tree(&points, given::at, params));
+        }
+    }
+
+    #[test]
+    fn more_coincident_points_than_a_leaf_holds_make_a_chain_down_to_the_finest_node() {
+        let params = Params { g: 2, leaf_capacity: 3 };
+        let mut points = vec![(Key::of(LatticePoint([5000, 6000, 7000])), 0); 10];
+        points.push((Key::of(LatticePoint([0, 0, 0])), 0));
+        for k in [0, 1, 2, 3, 9, 13, 48] {
+            let nodes = built(&points, &[k], params);
+            assert_eq!(nodes, naive::tree(&points, given::at, params));
+            assert!(nodes.values().filter(|n| n.2.is_empty()).count() > 5);
+        }
+    }
+
+    #[test]
+    fn real_parameters_and_both_kinds_of_keys_give_the_tree_of_the_definition() {
+        // A rough surface of 120,000 points, denser in one corner, with a pile of 40,000 on one position.
+        let params = Params { g: 7, leaf_capacity: 32_768 };
+        let mut state = 1_u64;
+        let mut random = |bits: u32| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state >> (64 - bits)
+        };
+        let corner = crate::lattice::BIAS as u64;
+        let mut points = vec![(Key::of(LatticePoint([corner + 5; 3])), 1); 40_000];
+        for i in 0..120_000 {
+            let bits = if i % 3 == 0 { 23 } else { 12 };
+            let (x, y) = (random(bits), random(bits));
+            let z = (x / 7 + y / 9 + random(6)) / 5;
+            points.push((Key::of(LatticePoint([corner + x, corner + y, corner + z])), random(2) as u8));
+        }
+        let expected = naive::tree(&points, given::at, params);
+        assert!(expected.len() > 20);
+        for ks in [&[24_u8][..], &[22], &[20], &[16, 19], &[6, 12]] {
+            assert!(built(&points, ks, params) == expected, "buckets of {ks:?}");
+        }
+    }
+}

@@ -1,5 +1,6 @@
 //! All integration tests in one binary, so that SQLite and wgpu are linked once.
 
+mod bad_input;
 mod fidelity;
 mod floors;
 mod support;

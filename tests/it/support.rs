@@ -124,3 +124,50 @@ pub fn esker_fails(arguments: &[&str], code: i32, words: &[&str]) {
         assert!(errors >= 1 && stderr.lines().count() == errors, "not in one line: {stderr}");
     }
 }
+
+/// An uncompressed LAS file like `original` with other records.
+pub fn las_like(original: &[u8], records: &[Vec<u8>]) -> Vec<u8> {
+    let start = u32::from_le_bytes(original[96..100].try_into().unwrap()) as usize;
+    let mut file = original[..start].to_vec();
+    let count = records.len() as u64;
+    let legacy = u32::from_le_bytes(original[107..111].try_into().unwrap());
+    if legacy > 0 {
+        file[107..111].copy_from_slice(&(count as u32).to_le_bytes());
+    }
+    if original[25] >= 4 {
+        // No EVLRs: they came after the points.
+        file[235..247].fill(0);
+        file[247..255].copy_from_slice(&count.to_le_bytes());
+    }
+    file.extend(records.iter().flatten());
+    file
+}
+
+/// A generator of numbers that is the same everywhere: seeds are printed by the tests that use it.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        // SplitMix64.
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    }
+
+    pub fn below(&mut self, n: u64) -> u64 {
+        self.next() % n.max(1)
+    }
+
+    /// In `[0, 1)`.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for i in (1..items.len()).rev() {
+            items.swap(i, self.below(i as u64 + 1) as usize);
+        }
+    }
+}

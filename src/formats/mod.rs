@@ -1,6 +1,8 @@
 //! Point files in and out. Knows columns and records, not the store.
 
 mod error;
+mod file;
+mod guard;
 pub mod las;
 mod read;
 mod write;

@@ -12,4 +12,7 @@ mod write;
 pub use detect::{InputFormat, Inputs, ReadOptions, list_inputs, open};
 pub use error::FormatError;
 pub use read::{Piece, PointSource, SourceInfo, Tally};
-pub use write::{LasTarget, OutputFormat, OutputPlan, PointWriter};
+pub use write::{
+    CreateOptions, CreationDate, LasTarget, OutputFormat, OutputPlan, PointWriter, create, create_standard_output,
+    remove_unfinished,
+};

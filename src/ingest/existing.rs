@@ -13,20 +13,22 @@ use crate::store::{NodeIndex, ReadCost, Snapshot, StoreError};
 use crate::with_column;
 use rayon::prelude::*;
 use std::collections::HashMap;
+use std::path::Path;
 use std::sync::Arc;
 
 /// The scans of a snapshot and their points.
 pub(super) struct Existing<'a> {
+    path: &'a Path,
     snapshot: &'a Snapshot,
     index: Arc<NodeIndex>,
     layouts: Vec<RecordLayout>,
 }
 
 impl<'a> Existing<'a> {
-    pub fn new(snapshot: &'a Snapshot) -> Result<Self, IngestError> {
+    pub fn new(path: &'a Path, snapshot: &'a Snapshot) -> Result<Self, IngestError> {
         let index = snapshot.index()?;
-        let layouts = snapshot.scans().iter().map(|scan| layout(snapshot, scan)).collect::<Result<_, _>>()?;
-        Ok(Self { snapshot, index, layouts })
+        let layouts = snapshot.scans().iter().map(|scan| layout(path, snapshot, scan)).collect::<Result<_, _>>()?;
+        Ok(Self { path, snapshot, index, layouts })
     }
 
     /// How the rows of each scan are laid out: canonical records after a lattice position. Slots are places in
@@ -85,7 +87,7 @@ impl<'a> Existing<'a> {
         let mut slots = vec![SLOT_POSITION, SLOT_SCAN];
         slots.extend(attributes.iter().map(|a| a.id));
         let count = head.parts[part].points as usize;
-        let damaged = |what: String| StoreError::damage("chunk", format!("{:?} part {part}", head.cube), what);
+        let damaged = |what: String| damage(self.path, "chunk", format!("{:?} part {part}", head.cube), what);
         let chunks = self.snapshot.read_part(head, part, &slots, &mut ReadCost::default())?;
         let bytes = |i: usize| chunks.get(i).and_then(Option::as_ref);
         let (Some(positions_bytes), Some(scan_bytes)) = (bytes(0), bytes(1)) else {
@@ -102,7 +104,9 @@ impl<'a> Existing<'a> {
                 .map_err(|e| damaged(e.to_string()))?;
             Ok::<_, StoreError>(column)
         };
-        let Column::U32(scans) = decode(scan_bytes, crate::points::ScalarType::U32)? else { return Ok(()) };
+        let Column::U32(scans) = decode(scan_bytes, crate::points::ScalarType::U32)? else {
+            return Err(damaged("scans are no u32".into()).into());
+        };
         let mut columns: HashMap<Slot, Column> = HashMap::new();
         for (i, attribute) in attributes.iter().enumerate() {
             if let Some(bytes) = bytes(i + 2) {
@@ -151,13 +155,17 @@ fn records(
     records
 }
 
-fn layout(snapshot: &Snapshot, scan: &Scan) -> Result<RecordLayout, IngestError> {
+fn damage(path: &Path, table: &'static str, key: String, what: String) -> StoreError {
+    StoreError::Damaged { path: path.to_owned(), table, key, what }
+}
+
+fn layout(path: &Path, snapshot: &Snapshot, scan: &Scan) -> Result<RecordLayout, IngestError> {
     let attributes = scan
         .attributes
         .iter()
         .map(|&slot| {
             snapshot.attribute(slot).map(|a| a.attribute.clone()).ok_or_else(|| {
-                StoreError::damage("scan", scan.id.to_string(), format!("attribute {slot} is not in the store"))
+                damage(path, "scan", scan.id.to_string(), format!("attribute {slot} is not in the store"))
             })
         })
         .collect::<Result<Vec<_>, _>>()?;

@@ -3,7 +3,6 @@
 use super::partition::RowPlan;
 use crate::points::Column;
 use crate::store::model::{ScanId, Slot};
-use std::collections::BTreeMap;
 
 /// What is known of a scan while its rows become columns.
 #[derive(Debug)]
@@ -43,7 +42,15 @@ pub(super) struct NodeColumns {
 /// Buffers that live from node to node.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    by_slot: BTreeMap<u32, (Vec<u32>, Vec<u8>)>,
+    by_slot: Vec<ScanRows>,
+}
+
+/// The rows of one scan in a node.
+#[derive(Debug, Default)]
+struct ScanRows {
+    /// Their places in the node.
+    indices: Vec<u32>,
+    payloads: Vec<u8>,
 }
 
 /// Gathers the columns of the rows given as `(scan slot, payload)`, in their order. Columns of attributes that a point's
@@ -54,29 +61,22 @@ pub(super) fn gather<'r>(
     scratch: &mut Scratch,
 ) -> NodeColumns {
     let n = rows.len();
-    for (indices, payloads) in scratch.by_slot.values_mut() {
-        indices.clear();
-        payloads.clear();
+    scratch.by_slot.resize_with(scans.len(), ScanRows::default);
+    for of_scan in &mut scratch.by_slot {
+        of_scan.indices.clear();
+        of_scan.payloads.clear();
     }
     let mut result = NodeColumns { scans: Vec::with_capacity(n), columns: Vec::new() };
-    let mut current: Option<(u32, &mut (Vec<u32>, Vec<u8>))> = None;
-    // Runs of one scan are the rule, so the map is asked once a run.
     for (i, (slot, payload)) in (0_u32..).zip(rows) {
-        let (_, (indices, payloads)) = match current {
-            Some((s, ref mut buffers)) if s == slot => (s, &mut **buffers),
-            _ => {
-                let buffers = scratch.by_slot.entry(slot).or_default();
-                let (s, buffers) = current.insert((slot, buffers));
-                (*s, &mut **buffers)
-            }
-        };
-        indices.push(i);
-        payloads.extend_from_slice(payload);
+        let of_scan = &mut scratch.by_slot[slot as usize];
+        of_scan.indices.push(i);
+        of_scan.payloads.extend_from_slice(payload);
         result.scans.push(scans[slot as usize].id);
     }
-    let parts = scratch.by_slot.iter().filter(|(_, (indices, _))| !indices.is_empty());
-    for (&slot, (indices, payloads)) in parts {
-        let scan = &scans[slot as usize];
+    for (scan, ScanRows { indices, payloads }) in scans.iter().zip(&scratch.by_slot) {
+        if indices.is_empty() || scan.slots.is_empty() {
+            continue;
+        }
         let layout = &scan.plan.layout;
         for (field, (&column_slot, attribute)) in scan.slots.iter().zip(layout.attributes.iter()).enumerate() {
             let mut values = Column::with_capacity(attribute.ty, indices.len());

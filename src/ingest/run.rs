@@ -112,7 +112,7 @@ impl Run<'_> {
         if result.is_err() && created {
             // Nothing was there before and nothing was added: leave no empty store behind.
             drop(store);
-            Store::remove_files(self.path)?;
+            remove_store(self.path);
         }
         result?;
         report.seconds = self.started.elapsed().as_secs_f64();
@@ -200,7 +200,7 @@ impl Run<'_> {
         let snapshot = store.snapshot()?;
         let site = snapshot.site().clone();
         let lattice = &site.lattice;
-        let existing = Existing::new(&snapshot)?;
+        let existing = Existing::new(self.path, &snapshot)?;
 
         let mut plans: Vec<RowPlan> = existing.row_plans();
         let first_new = plans.len();
@@ -286,7 +286,13 @@ impl Run<'_> {
             report.scans.push(scan_report(source, tally, scan));
         }
         report.points = tallies.iter().map(|t| t.stored).sum();
-        writer.commit(Flip { scans_added: scans, crs, roots: vec![root], nodes: NodeChange::ReplaceAll(nodes) })?;
+        writer.commit(Flip {
+            scans_added: scans,
+            crs,
+            roots: Some(vec![root]),
+            nodes: NodeChange::ReplaceAll(nodes),
+            ..Flip::default()
+        })?;
         self.note_stage(Stage::Commit, begun, stored);
         Ok(())
     }
@@ -302,7 +308,6 @@ impl Run<'_> {
         snapshot: &crate::store::Snapshot,
     ) -> Result<Vec<Scan>, IngestError> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs() as i64);
-        let mut next_id = writer.next_scan_id()?;
         let mut scans = Vec::new();
         for (((source, tally), content), plan) in sources.iter().zip(tallies).zip(contents).zip(plans) {
             let info = source.reader.info();
@@ -314,7 +319,7 @@ impl Run<'_> {
             };
             let is_8_bit = |name: &str| plan.layout.attributes.iter().any(|a| a.name == name && a.ty == ScalarType::U8);
             scans.push(Scan {
-                id: next_id,
+                id: writer.reserve_scan(),
                 name: source.name.clone(),
                 source: info.path.display().to_string(),
                 source_bytes: source.bytes,
@@ -334,7 +339,6 @@ impl Run<'_> {
                 attributes,
                 crs: source.crs.clone(),
             });
-            next_id += 1;
         }
         Ok(scans)
     }
@@ -390,6 +394,16 @@ struct BuildJob<'a> {
     spill: Option<&'a Spill>,
     budget: &'a Budget,
     wide: bool,
+}
+
+/// Takes away a store that was created by this run and never got a scan.
+fn remove_store(path: &Path) {
+    for suffix in ["", "-wal", "-shm", "-lock"] {
+        let mut name = path.as_os_str().to_owned();
+        name.push(suffix);
+        // What can't be removed is an empty store, which does no harm.
+        let _ = std::fs::remove_file(PathBuf::from(name));
+    }
 }
 
 type WorldBounds = ([f64; 3], [f64; 3]);

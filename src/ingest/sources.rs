@@ -5,7 +5,7 @@ use super::naming::unique_name;
 use super::progress::Progress;
 use super::report::Skipped;
 use super::{IngestError, IngestOptions};
-use crate::formats::{self, PointSource};
+use crate::formats::{self, PointSource, ReadOptions};
 use crate::points::Crs;
 use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
@@ -55,7 +55,7 @@ pub(super) fn open(
     }
     let mut opened = Vec::new();
     for path in listed.files {
-        let reader = formats::open(&path)?;
+        let reader = formats::open(&path, &ReadOptions::default())?;
         let bytes = std::fs::metadata(&path).map(|m| m.len()).map_err(|source| formats::FormatError::Io {
             path: path.clone(),
             action: "reading the size",

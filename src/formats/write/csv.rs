@@ -184,4 +184,3 @@ impl PointWriter for CsvWriter {
         Ok(notes)
     }
 }
-

@@ -31,7 +31,10 @@ pub(super) fn vlrs(crs: &Crs, notes: &mut Vec<String>) -> Option<Written> {
     if !crs.geotiff.is_empty() {
         // Point formats 6 and up ask for WKT, which nobody can derive from the keys without a data base of CRSs.
         notes.push("the CRS is written as GeoTIFF keys, as the source has it; some tools expect WKT in LAS 1.4".into());
-        return Some(Written { vlrs: crs.geotiff.iter().map(|(id, data)| vlr(*id, data.clone())).collect(), wkt: false });
+        return Some(Written {
+            vlrs: crs.geotiff.iter().map(|(id, data)| vlr(*id, data.clone())).collect(),
+            wkt: false,
+        });
     }
     let keys = epsg_keys(crs)?;
     Some(Written { vlrs: vec![vlr(GEO_KEYS_RECORD, keys)], wkt: false })

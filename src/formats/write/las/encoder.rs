@@ -2,13 +2,12 @@
 
 use super::header::{Header, append_vlr, vlr};
 use crate::formats::FormatError;
+use crate::formats::guard::catching;
 use crate::formats::write::destination::Destination;
 use laz::laszip::parallel::ParLasZipCompressor;
 use laz::{LazVlr, LazVlrBuilder};
-use std::any::Any;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Points of a LAZ chunk, as LASzip has them.
 const CHUNK_POINTS: usize = 50_000;
@@ -64,7 +63,11 @@ fn laz_vlr(header: &Header) -> Result<LazVlr, EncodeError> {
 pub(super) fn announce(header: &mut Header) -> Result<(), EncodeError> {
     let mut bytes = Vec::new();
     laz_vlr(header)?.write_to(&mut bytes)?;
-    append_vlr(&mut header.vlrs.1, &vlr(LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, bytes), header.version);
+    append_vlr(
+        &mut header.vlrs.1,
+        &vlr(LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, bytes),
+        header.version,
+    );
     header.vlrs.0 += 1;
     Ok(())
 }
@@ -113,21 +116,5 @@ impl Encoder {
 
 /// Runs the codec; a panic of it is an error. The codec is not used again after one.
 fn guarded(run: impl FnOnce() -> Result<(), EncodeError>) -> Result<(), EncodeError> {
-    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|payload| Err(EncodeError::Codec(message(payload.as_ref()))))
-}
-
-fn message(payload: &(dyn Any + Send)) -> String {
-    let text = payload.downcast_ref::<&str>().map(|s| (*s).to_owned());
-    text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_panic_is_an_error() {
-        let error = guarded(|| panic!("at chunk {}", 7)).unwrap_err();
-        assert!(matches!(error, EncodeError::Codec(m) if m == "at chunk 7"));
-    }
+    catching(run).unwrap_or_else(|message| Err(EncodeError::Codec(message)))
 }

@@ -124,7 +124,7 @@ impl Header {
         out.extend_from_slice(&self.guid);
         out.extend_from_slice(&[self.version.0, self.version.1]);
         out.extend_from_slice(&self.system_identifier);
-        out.extend_from_slice(&padded(concat!("esker ", env!("CARGO_PKG_VERSION"))));
+        out.extend_from_slice(&padded::<32>(concat!("esker ", env!("CARGO_PKG_VERSION"))));
         put16(&mut out, self.date.day_of_year);
         put16(&mut out, self.date.year);
         put16(&mut out, self.header_bytes());
@@ -143,7 +143,8 @@ impl Header {
             put_float(&mut out, *v);
         }
         for axis in 0..3 {
-            let world = |x: i32| if totals.points == 0 { 0.0 } else { self.scale[axis] * f64::from(x) + self.offset[axis] };
+            let world =
+                |x: i32| if totals.points == 0 { 0.0 } else { self.scale[axis] * f64::from(x) + self.offset[axis] };
             put_float(&mut out, world(totals.max[axis]));
             put_float(&mut out, world(totals.min[axis]));
         }

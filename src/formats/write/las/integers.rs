@@ -39,10 +39,8 @@ impl Integers {
             return Ok(());
         }
         for (integer, &index) in integers.iter_mut().zip(indices) {
-            *integer = self
-                .map
-                .from_lattice(axis, index)
-                .ok_or_else(|| destination.unwritable(self.too_far(axis, index)))?;
+            *integer =
+                self.map.from_lattice(axis, index).ok_or_else(|| destination.unwritable(self.too_far(axis, index)))?;
         }
         Ok(())
     }

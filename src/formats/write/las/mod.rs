@@ -78,11 +78,14 @@ impl LasWriter {
         }
         let integers = Integers::new(header.scale, header.offset, &output.lattice).ok_or_else(|| {
             let (scale, offset) = (header.scale, header.offset);
-            destination.unwritable(format!("scale {scale:?} and offset {offset:?} are not usable; give another --scale"))
+            destination
+                .unwritable(format!("scale {scale:?} and offset {offset:?} are not usable; give another --scale"))
         })?;
         file.write_all(&header.to_bytes(&Totals::default())).map_err(|e| destination.error("writing", e))?;
         let times = (header.version.1 >= 5)
-            .then(|| output.attributes.iter().position(|a| a.name == "GpsTime" && a.ty == crate::points::ScalarType::F64))
+            .then(|| {
+                output.attributes.iter().position(|a| a.name == "GpsTime" && a.ty == crate::points::ScalarType::F64)
+            })
             .flatten();
         let record_bytes = usize::from(header.record_bytes);
         let encoder = Encoder::new(file, &header).map_err(|e| e.into_format_error(&destination))?;

@@ -30,7 +30,10 @@ pub(super) fn as_source(plan: &OutputPlan, facts: &LasFacts, compressed: bool, d
     let layout = record_layout(facts).ok_or_else(|| format!("LAS point format {} is unknown", facts.point_format))?;
     let mut version = facts.version;
     if facts.point_format >= 6 && version.1 < 4 {
-        notes.push(format!("LAS {}.{} has no point format {}: written as 1.4", version.0, version.1, facts.point_format));
+        notes.push(format!(
+            "LAS {}.{} has no point format {}: written as 1.4",
+            version.0, version.1, facts.point_format
+        ));
         version = (1, 4);
     }
     let mut slots = Vec::new();
@@ -40,7 +43,8 @@ pub(super) fn as_source(plan: &OutputPlan, facts: &LasFacts, compressed: bool, d
         placed[column] = true;
         slots.push(Slot { column, offset: XYZ_BYTES + field.offset, put: put_of(field.kind) });
     }
-    let lost: Vec<_> = plan.attributes.iter().zip(&placed).filter(|(_, p)| !**p).map(|(a, _)| a.name.as_str()).collect();
+    let lost: Vec<_> =
+        plan.attributes.iter().zip(&placed).filter(|(_, p)| !**p).map(|(a, _)| a.name.as_str()).collect();
     if !lost.is_empty() {
         notes.push(format!("not written, since the source's records have no place for it: {}", lost.join(", ")));
     }
@@ -68,7 +72,9 @@ pub(super) fn as_source(plan: &OutputPlan, facts: &LasFacts, compressed: bool, d
     if waveforms_lost {
         notes.push("waveform packets are not kept".into());
     }
-    if facts.global_encoding & EXTERNAL_WAVEFORMS != 0 && PointFormat::new(facts.point_format).is_some_and(|f| f.has_wave_packet()) {
+    if facts.global_encoding & EXTERNAL_WAVEFORMS != 0
+        && PointFormat::new(facts.point_format).is_some_and(|f| f.has_wave_packet())
+    {
         notes.push("waveform packets stay in the .wdp file beside the source".into());
     }
     let mut global_encoding = facts.global_encoding & !INTERNAL_WAVEFORMS;
@@ -106,7 +112,8 @@ pub(super) fn merged(
     standard_time: bool,
 ) -> Planned {
     let mut notes = Vec::new();
-    let has = |name: &str| plan.attributes.iter().any(|a| a.name == name && matches!(a.ty, ScalarType::U8 | ScalarType::U16));
+    let has =
+        |name: &str| plan.attributes.iter().any(|a| a.name == name && matches!(a.ty, ScalarType::U8 | ScalarType::U16));
     let number = match () {
         () if has("Infrared") => 8,
         () if has("Red") || has("Green") || has("Blue") => 7,

@@ -11,7 +11,8 @@ use super::spill::Spill;
 use crate::lattice::Cube;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{Params, first_win, wins};
-use crate::store::encode::{EncodedNode, Encoder, NodeInput};
+use crate::lattice::SortKey;
+use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, ScanTable, encode_node};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -21,6 +22,8 @@ pub(super) struct Plan<'a> {
     pub params: Params,
     pub root: Cube,
     pub scans: &'a [ScanColumns<'a>],
+    pub table: &'a ScanTable,
+    pub ids: &'a ChunkIds,
     pub spill: Option<&'a Spill>,
     /// Buckets with more rows than this are worked through cube by cube.
     pub most_rows: u64,
@@ -65,7 +68,7 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
     let failed = AtomicBool::new(false);
     let first_error = Mutex::new(None);
     let work = || {
-        let mut worker = Worker { plan, encoder: Encoder::new(), scratch: Scratch::default() };
+        let mut worker = Worker::new(plan);
         loop {
             let number = next_job.fetch_add(1, Ordering::Relaxed);
             let Some(job) = jobs.get(number) else { return Ok(()) };
@@ -108,7 +111,7 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
     if let Some(assembler) = joiner.assembler.take() {
         assembler.finish(&mut |node| rest.push(node));
     }
-    Worker { plan, encoder: Encoder::new(), scratch: Scratch::default() }.emit_owned(rest)
+    Worker::new(plan).emit_owned(rest)
 }
 
 /// Hands over what job `number` left; returns the nodes that became certain by it.
@@ -173,11 +176,15 @@ fn split<K: RowKey>(
 /// One thread's buffers.
 struct Worker<'a> {
     plan: &'a Plan<'a>,
-    encoder: Encoder,
-    scratch: Scratch,
+    encode: EncodeScratch,
+    gather: Scratch,
 }
 
-impl Worker<'_> {
+impl<'a> Worker<'a> {
+    fn new(plan: &'a Plan<'a>) -> Self {
+        Self { plan, encode: EncodeScratch::default(), gather: Scratch::default() }
+    }
+
     /// Builds the nodes of a job; returns what it leaves, or nothing if the job was the whole tree.
     fn run<K: RowKey>(
         &mut self,
@@ -220,18 +227,7 @@ impl Worker<'_> {
         let own_keys: Vec<_> = node.points.iter().map(|&i| keys[i as usize]).collect();
         let own_wins: Vec<_> = node.points.iter().map(|&i| wins[i as usize]).collect();
         let rows = node.points.iter().map(|&i| payloads.row(order[i as usize]));
-        let columns = gather(self.plan.scans, rows, &mut self.scratch);
-        let encoded = self.encoder.encode(&NodeInput {
-            layer: 0,
-            cube: node.cube,
-            leaf: node.leaf,
-            children: node.children,
-            keys: &own_keys,
-            wins: &own_wins,
-            scans: &columns.scans,
-            columns: &columns.columns,
-        })?;
-        (self.plan.sink)(encoded)
+        self.encode(node.cube, node.leaf, node.children, &own_keys, &own_wins, rows)
     }
 
     fn emit_owned(&mut self, nodes: Vec<OwnedNode<Held>>) -> Result<(), IngestError> {
@@ -239,19 +235,33 @@ impl Worker<'_> {
             let keys: Vec<_> = node.entries.iter().map(|e| e.key).collect();
             let wins: Vec<_> = node.entries.iter().map(|e| e.win).collect();
             let rows = node.entries.iter().map(|e| e.item.0.row(e.item.1));
-            let columns = gather(self.plan.scans, rows, &mut self.scratch);
-            let encoded = self.encoder.encode(&NodeInput {
-                layer: 0,
-                cube: node.cube,
-                leaf: node.leaf,
-                children: node.children,
-                keys: &keys,
-                wins: &wins,
-                scans: &columns.scans,
-                columns: &columns.columns,
-            })?;
-            (self.plan.sink)(encoded)?;
+            self.encode(node.cube, node.leaf, node.children, &keys, &wins, rows)?;
         }
         Ok(())
+    }
+
+    fn encode<'r, K: SortKey>(
+        &mut self,
+        cube: Cube,
+        leaf: bool,
+        children: u8,
+        keys: &[K],
+        wins: &[i8],
+        rows: impl ExactSizeIterator<Item = (u32, &'r [u8])>,
+    ) -> Result<(), IngestError> {
+        let columns = gather(self.plan.scans, rows, &mut self.gather);
+        let input = NodeInput {
+            layer: 0,
+            cube,
+            leaf,
+            children,
+            keys,
+            wins,
+            scans: &columns.scans,
+            columns: &columns.columns,
+        };
+        let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
+            .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
+        (self.plan.sink)(encoded)
     }
 }

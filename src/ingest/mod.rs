@@ -23,6 +23,7 @@ mod rows;
 mod run;
 mod sources;
 mod spill;
+mod subtrees;
 
 pub use error::IngestError;
 pub use lattice_choice::LatticeWish;

@@ -11,7 +11,7 @@ use crate::points::{FieldKind, PositionKind, RecordLayout, ScalarType};
 use crate::store::model::Rejected;
 use std::collections::HashMap;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU8, Ordering};
 
 /// A bucket's buffer is handed over when it has this many bytes.
 const BUFFER_BYTES: usize = 256 << 10;
@@ -101,7 +101,6 @@ pub(super) struct Partition<'a> {
     /// The largest exponent that the row keys allow.
     largest_k: u8,
     buckets: Mutex<HashMap<Cube, Vec<Segment>>>,
-    rows: AtomicU64,
 }
 
 impl<'a> Partition<'a> {
@@ -109,12 +108,7 @@ impl<'a> Partition<'a> {
     pub fn new(lattice: &'a Lattice, spill: Option<&'a Spill>, k: u8, wide: bool) -> Self {
         let largest_k = if wide { BITS } else { LOW_DIGITS };
         let k = AtomicU8::new(k.min(largest_k));
-        Self { lattice, spill, k, largest_k, buckets: Mutex::default(), rows: AtomicU64::new(0) }
-    }
-
-    /// Rows taken so far.
-    pub fn rows(&self) -> u64 {
-        self.rows.load(Ordering::Relaxed)
+        Self { lattice, spill, k, largest_k, buckets: Mutex::default() }
     }
 
     /// A worker for one piece of one scan.
@@ -144,7 +138,6 @@ impl<'a> Partition<'a> {
             }
             (_, place) => Segment { place, ..segment },
         };
-        self.rows.fetch_add(u64::from(segment.rows), Ordering::Relaxed);
         let mut buckets = lock(&self.buckets);
         buckets.entry(cube).or_default().push(segment);
         if buckets.len() > MOST_BUCKETS {

@@ -17,8 +17,6 @@ pub(super) trait RowKey: SortKey {
     fn read(row: &[u8]) -> Self;
     /// The full key of a point with this key in `cube`.
     fn full(self, cube: Cube) -> Key;
-    /// The point with this key in `cube`.
-    fn point(self, cube: Cube) -> LatticePoint;
     /// The `bits` bits of the key below digit `k`: a bin number that keeps the order among the points of a cube of
     /// exponent `k`.
     fn bin(self, k: u8, bits: u32) -> usize;
@@ -50,11 +48,6 @@ impl RowKey for u64 {
     }
 
     #[inline]
-    fn point(self, cube: Cube) -> LatticePoint {
-        cube.point_of_low_key(self)
-    }
-
-    #[inline]
     fn bin(self, k: u8, bits: u32) -> usize {
         let width = 3 * u32::from(k);
         let below = if width >= 64 { self } else { self & ((1 << width) - 1) };
@@ -83,10 +76,6 @@ impl RowKey for Key {
 
     fn full(self, _cube: Cube) -> Key {
         self
-    }
-
-    fn point(self, _cube: Cube) -> LatticePoint {
-        Key::point(self)
     }
 
     fn bin(self, k: u8, bits: u32) -> usize {
@@ -157,7 +146,6 @@ mod tests {
             let wide = sort_pairs(wide, k);
             for i in 0..n {
                 prop_assert_eq!(narrow[i].0.full(cube), expected[i]);
-                prop_assert_eq!(narrow[i].0.point(cube), expected[i].point());
                 prop_assert_eq!(wide[i].0, expected[i]);
                 prop_assert_eq!(Key::of(points[narrow[i].1 as usize]), expected[i]);
             }

@@ -12,14 +12,14 @@ use super::report::{Report, ScanReport, StageReport};
 use super::rows::RowKey;
 use super::sources::{self, Source};
 use super::spill::Spill;
+use super::subtrees::with_subtrees;
 use super::{IngestError, IngestOptions};
 use crate::formats::{FormatError, Piece};
 use crate::lattice::{Cube, Exactness, Key, Lattice, LatticeBox, SourceMap};
 use crate::octree::Params;
 use crate::points::{Attribute, Crs, PositionKind, ScalarType};
-use crate::store::encode::EncodedNode;
 use crate::store::model::{NodeHead, Scan, Zones};
-use crate::store::{Flip, NodeChange, SiteOptions, Store, Writer};
+use crate::store::{ChunkIds, EncodedNode, Flip, NodeChange, ScanTable, SiteOptions, Store, Writer};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -254,7 +254,7 @@ impl Run<'_> {
                 });
             }
         }
-        let scans = self.scans(&mut writer, &sources, &tallies, &contents, &plans[first_new..], &snapshot)?;
+        let scans = self.scans(&mut writer, &sources, &tallies, &contents, &plans[first_new..])?;
 
         let mut columns: Vec<ScanColumns<'_>> = existing.scan_columns(&plans);
         for (scan, plan) in scans.iter().zip(&plans[first_new..]) {
@@ -268,7 +268,12 @@ impl Run<'_> {
         let nodes = match root {
             Some(root) => {
                 let params = Params { g: site.g, leaf_capacity: site.leaf_capacity };
-                let job = BuildJob { params, root, columns: &columns, spill: spill.as_ref(), budget: &budget, wide };
+                let mut table = ScanTable::new(writer.attributes());
+                for scan in snapshot.scans().iter().chain(&scans) {
+                    table.insert(scan.id, &scan.attributes, scan.color_depth);
+                }
+                let (ids, spill) = (writer.chunk_ids(), spill.as_ref());
+                let job = BuildJob { params, root, columns: &columns, table, ids, spill, budget: &budget, wide };
                 self.build(&mut writer, &job, buckets)?
             }
             None => Vec::new(),
@@ -281,7 +286,7 @@ impl Run<'_> {
 
         let begun = Instant::now();
         self.progress.stage(Stage::Commit, stored);
-        let nodes = crate::store::encode::with_subtrees(nodes)?;
+        let nodes = with_subtrees(nodes);
         for ((source, tally), scan) in sources.iter().zip(&tallies).zip(&scans) {
             report.scans.push(scan_report(source, tally, scan));
         }
@@ -305,7 +310,6 @@ impl Run<'_> {
         tallies: &[ScanTally],
         contents: &[[u8; 32]],
         plans: &[RowPlan],
-        snapshot: &crate::store::Snapshot,
     ) -> Result<Vec<Scan>, IngestError> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs() as i64);
         let mut scans = Vec::new();
@@ -356,7 +360,8 @@ impl Run<'_> {
             let writing = scope.spawn(move || {
                 let mut heads = Vec::new();
                 for node in receiver {
-                    heads.push(writer.put_node(node)?);
+                    writer.put_chunks(&node.chunks)?;
+                    heads.push((node.head, node.zones));
                 }
                 Ok::<_, crate::store::StoreError>(heads)
             });
@@ -369,6 +374,8 @@ impl Run<'_> {
                 params: job.params,
                 root: job.root,
                 scans: job.columns,
+                table: &job.table,
+                ids: &job.ids,
                 spill: job.spill,
                 most_rows: job.budget.bucket_rows,
                 threads: self.threads,
@@ -391,6 +398,8 @@ struct BuildJob<'a> {
     params: Params,
     root: Cube,
     columns: &'a [ScanColumns<'a>],
+    table: ScanTable,
+    ids: ChunkIds,
     spill: Option<&'a Spill>,
     budget: &'a Budget,
     wide: bool,

@@ -1,3 +1,33 @@
-//! The SQLite file: rows, snapshots, the writer, verify.
+//! The SQLite file: rows, snapshots, the writer, verify. `docs/format.md` has every byte and every invariant.
 
+mod checksum;
+mod connection;
+mod encode;
+mod error;
+mod files;
+mod flip;
+mod handle;
+mod index;
+mod lanes;
+mod lock;
 pub mod model;
+mod place;
+mod rows;
+mod shape;
+mod snapshot;
+mod summary;
+mod writer;
+mod zones;
+
+pub use checksum::Checksum;
+pub use connection::APPLICATION_ID;
+pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, ScanTable, encode_node};
+pub use error::StoreError;
+pub use files::{SPILL_SUFFIX, spill_path};
+pub use flip::{Flip, NodeChange};
+pub use handle::{SiteOptions, Store};
+pub use index::{NodeIndex, NodeIx};
+pub use rows::{ChunkRow, pack};
+pub use snapshot::{ChunkBytes, ReadCost, Snapshot};
+pub use summary::{Summary, merge_subtree};
+pub use writer::{ChunkIds, Committed, Leftovers, Writer};

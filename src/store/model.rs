@@ -16,6 +16,10 @@ pub const SLOT_POSITION: Slot = 0;
 pub const SLOT_SCAN: Slot = 1;
 /// The first id of an attribute.
 pub const FIRST_ATTRIBUTE: Slot = 2;
+/// Not a column: the row of a part in which its small columns lie together.
+pub const SLOT_PACKED: Slot = Slot::MAX;
+/// Chunk rows are `chunk_base + part * SLOT_STRIDE + slot`.
+pub const SLOT_STRIDE: i64 = 1 << 16;
 
 /// The sampling grid has `2^g` cells a side: fixed by format version 1.
 pub const FORMAT_G: u8 = 7;
@@ -181,6 +185,19 @@ pub struct NodeHead {
     pub chunk_base: i64,
     /// The parts, coarse to fine; empty for a node that stores nothing.
     pub parts: Vec<PartHead>,
+}
+
+impl NodeHead {
+    /// The ids of the node's chunk rows lie in this range.
+    pub fn chunk_ids(&self) -> std::ops::Range<i64> {
+        let rows = (self.parts.len() as i64).saturating_mul(SLOT_STRIDE);
+        self.chunk_base..self.chunk_base.saturating_add(rows)
+    }
+
+    /// The id of the row of column `slot` of part `part`.
+    pub fn chunk_id(&self, part: usize, slot: Slot) -> i64 {
+        self.chunk_base.saturating_add((part as i64).saturating_mul(SLOT_STRIDE)).saturating_add(slot.into())
+    }
 }
 
 /// The least and the greatest value of an attribute, NaN left out.

@@ -1,0 +1,220 @@
+//! How SQLite is opened: flags, pragmas, schema, and the checks that the file is a store of ours.
+
+use super::error::{RowError, StoreError};
+use super::files::{uri, wal_bytes};
+use super::rows::load_site;
+use rusqlite::config::DbConfig;
+use rusqlite::{Connection, ErrorCode, OpenFlags};
+use std::path::Path;
+use std::time::Duration;
+
+/// `Eskr`: SQLite's field for what kind of file this is.
+pub const APPLICATION_ID: i32 = 0x4573_6b72;
+
+/// The schema's versions: the i-th script leads from version i to i + 1.
+const MIGRATIONS: &[&str] = &[include_str!("../../migrations/0001.sql")];
+
+/// Chosen by the overhead measured on real chunks (docs/format.md).
+const PAGE_BYTES: u32 = 4096;
+
+/// How long SQLite waits for a lock of another process.
+pub(super) const PATIENCE: Duration = Duration::from_secs(5);
+
+/// What a connection is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// Reading; may repair after a crash where the place can be written.
+    Read,
+    /// Reading a medium that nobody can write.
+    Immutable,
+    /// Writing.
+    Write,
+}
+
+/// Opens the file, without looking at what it holds.
+fn open_raw(path: &Path, purpose: Purpose) -> Result<Connection, RowError> {
+    let parameters = match purpose {
+        Purpose::Read | Purpose::Write => "mode=rw",
+        Purpose::Immutable => "mode=ro&immutable=1",
+    };
+    let flags = match purpose {
+        Purpose::Read | Purpose::Write => OpenFlags::SQLITE_OPEN_READ_WRITE,
+        Purpose::Immutable => OpenFlags::SQLITE_OPEN_READ_ONLY,
+    } | OpenFlags::SQLITE_OPEN_URI
+        | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let connection = Connection::open_with_flags(uri(path, parameters), flags)?;
+    prepare(&connection, purpose)?;
+    Ok(connection)
+}
+
+fn prepare(connection: &Connection, purpose: Purpose) -> Result<(), RowError> {
+    connection.busy_timeout(PATIENCE)?;
+    connection.set_prepared_statement_cache_capacity(64);
+    // A schema that was tampered with must not run anything of its own.
+    connection.pragma_update(None, "trusted_schema", false)?;
+    // Cells are checked as pages are read: damage is found before it is followed.
+    connection.pragma_update(None, "cell_size_check", true)?;
+    connection.pragma_update(None, "mmap_size", 0)?;
+    match purpose {
+        Purpose::Write => {
+            connection.pragma_update(None, "cache_size", -16 * 1024)?;
+            connection.pragma_update(None, "wal_autocheckpoint", 0)?;
+        }
+        Purpose::Read | Purpose::Immutable => {
+            connection.pragma_update(None, "cache_size", -8 * 1024)?;
+            connection.pragma_update(None, "query_only", true)?;
+        }
+    }
+    Ok(())
+}
+
+/// Why a store was not opened.
+pub(super) enum Refused {
+    /// The place does not let SQLite do what it needs: no file can be made beside the store.
+    Place,
+    /// Anything else.
+    Store(StoreError),
+}
+
+impl Refused {
+    /// With the path of the store.
+    pub fn at(self, path: &Path) -> StoreError {
+        match self {
+            Self::Place => StoreError::ReadOnly { path: path.to_path_buf() },
+            Self::Store(e) => e,
+        }
+    }
+
+    fn of(error: RowError, path: &Path) -> Self {
+        match error {
+            RowError::Sqlite(rusqlite::Error::SqliteFailure(e, _))
+                if matches!(e.code, ErrorCode::CannotOpen | ErrorCode::ReadOnly) =>
+            {
+                Self::Place
+            }
+            e => Self::Store(e.at(path)),
+        }
+    }
+}
+
+/// Opens a store and checks that it is one of a known version.
+pub(super) fn open(path: &Path, purpose: Purpose) -> Result<Connection, Refused> {
+    let refused = |e: RowError| Refused::of(e, path);
+    let connection = open_raw(path, purpose).map_err(refused)?;
+    check_kind(&connection, path)?;
+    if purpose == Purpose::Write {
+        let mode: String =
+            connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0)).map_err(|e| refused(e.into()))?;
+        if mode != "wal" {
+            return Err(Refused::Place);
+        }
+        migrate(&connection).map_err(refused)?;
+    }
+    Ok(connection)
+}
+
+/// Opens a store for reading, as usual or as a medium that nobody can write, whichever works.
+pub(super) fn open_for_reading(path: &Path) -> Result<(Purpose, Connection), StoreError> {
+    let path_buf = || path.to_path_buf();
+    let facts = std::fs::metadata(path).map_err(|source| match source.kind() {
+        std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => StoreError::NotThere { path: path_buf() },
+        _ => StoreError::Io { path: path_buf(), action: "looking at the store", source },
+    })?;
+    if facts.is_dir() {
+        return Err(StoreError::Directory { path: path_buf() });
+    }
+    if facts.len() == 0 {
+        return Err(StoreError::NotAStore { path: path_buf(), found: "the file is empty".into() });
+    }
+    let had_wal = wal_bytes(path) > 0;
+    if had_wal {
+        check_wal(path)?;
+    }
+    match open(path, Purpose::Read) {
+        // No shared memory can be made beside it.
+        Err(Refused::Place) if had_wal => Err(StoreError::NeedsRecovery { path: path_buf() }),
+        Err(Refused::Place) => open(path, Purpose::Immutable).map(|c| (Purpose::Immutable, c)).map_err(|e| e.at(path)),
+        Err(e) => Err(e.at(path)),
+        Ok(connection) => Ok((Purpose::Read, connection)),
+    }
+}
+
+/// A log that a deleted store left must not be taken for this one's: SQLite would apply it without a word.
+///
+/// Reads the identity once without the log and once with it, and applies nothing.
+fn check_wal(path: &Path) -> Result<(), StoreError> {
+    let id = |purpose| {
+        let connection = open_raw(path, purpose)?;
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        load_site(&connection).map(|row| row.store_id)
+    };
+    // While a checkpoint is running the first view may be torn: then there is a live writer, and the log is its own.
+    match (id(Purpose::Immutable), id(Purpose::Read)) {
+        (Ok(without), Ok(with)) if without != with => Err(StoreError::ForeignWal { path: path.to_path_buf() }),
+        _ => Ok(()),
+    }
+}
+
+/// Is it a store, of a version that this program knows?
+fn check_kind(connection: &Connection, path: &Path) -> Result<(), Refused> {
+    let pragma = |name: &str| {
+        let value = connection.query_row(&format!("PRAGMA {name}"), [], |row| row.get::<_, i64>(0));
+        value.map_err(|e| Refused::of(e.into(), path))
+    };
+    let kind = pragma("application_id")?;
+    if kind != i64::from(APPLICATION_ID) {
+        let found = "it is an SQLite database of another program".into();
+        return Err(Refused::Store(StoreError::NotAStore { path: path.to_path_buf(), found }));
+    }
+    let found = pragma("user_version")?;
+    let known = MIGRATIONS.len() as i64;
+    match found {
+        v if (1..=known).contains(&v) => Ok(()),
+        v if v > known => Err(Refused::Store(StoreError::Newer { path: path.to_path_buf(), found, known })),
+        _ => Err(Refused::of(RowError::damage("SQLite", "header", format!("the version is {found}")), path)),
+    }
+}
+
+/// Brings the schema to the newest version, one transaction a step.
+fn migrate(connection: &Connection) -> Result<(), RowError> {
+    let version: i64 = connection.query_row("PRAGMA user_version", [], |row| row.get(0))?;
+    for (i, script) in MIGRATIONS.iter().enumerate().skip(usize::try_from(version).unwrap_or(0)) {
+        let transaction = connection.unchecked_transaction()?;
+        transaction.execute_batch(script)?;
+        transaction.pragma_update(None, "user_version", i as i64 + 1)?;
+        transaction.commit()?;
+    }
+    Ok(())
+}
+
+/// Makes the empty database at `path`, an empty file, or in memory; `fill` writes the first rows in the same
+/// transaction as the schema.
+pub(super) fn create(
+    path: Option<&Path>,
+    fill: impl FnOnce(&Connection) -> Result<(), RowError>,
+) -> Result<Connection, RowError> {
+    let connection = match path {
+        Some(path) => open_raw(path, Purpose::Write)?,
+        None => {
+            let connection = Connection::open_in_memory()?;
+            prepare(&connection, Purpose::Write)?;
+            connection
+        }
+    };
+    connection.pragma_update(None, "page_size", PAGE_BYTES)?;
+    connection.pragma_update(None, "auto_vacuum", "INCREMENTAL")?;
+    connection.pragma_update(None, "synchronous", "FULL")?;
+    // Everything at once and under a rollback journal: a crash leaves an empty file or a whole store.
+    let transaction = connection.unchecked_transaction()?;
+    for script in MIGRATIONS {
+        transaction.execute_batch(script)?;
+    }
+    fill(&transaction)?;
+    transaction.pragma_update(None, "user_version", MIGRATIONS.len() as i64)?;
+    transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
+    transaction.commit()?;
+    if path.is_some() {
+        connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get::<_, String>(0))?;
+    }
+    Ok(connection)
+}

@@ -1,0 +1,194 @@
+//! What can be wrong with a store, and how SQLite's errors become that.
+
+use rusqlite::{ErrorCode, ffi};
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Why a store could not be opened, read or written.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum StoreError {
+    /// No such file.
+    #[error("{path}: there is no such store")]
+    NotThere {
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// A store is one file.
+    #[error("{path}: is a directory, not a store")]
+    Directory {
+        /// The directory.
+        path: PathBuf,
+    },
+    /// A new store never replaces a file.
+    #[error("{path}: is already there; a new store never replaces a file")]
+    AlreadyThere {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Some other file.
+    #[error("{path}: is not an Esker store: {found}")]
+    NotAStore {
+        /// The file.
+        path: PathBuf,
+        /// What it is instead.
+        found: String,
+    },
+    /// Written by a newer Esker.
+    #[error("{path}: has format version {found}, but this program knows versions up to {known}; use a newer Esker")]
+    Newer {
+        /// The store.
+        path: PathBuf,
+        /// Its version.
+        found: i64,
+        /// The newest version that this program knows.
+        known: i64,
+    },
+    /// A row is missing, or is not what was written.
+    #[error("{path}: damaged: table {table}, {key}: {what}")]
+    Damaged {
+        /// The store.
+        path: PathBuf,
+        /// The table.
+        table: &'static str,
+        /// Which row.
+        key: String,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// There is a write-ahead log beside the store that belongs to another one.
+    #[error(
+        "{path}: the file {path}-wal beside it belongs to another store; move it away (it is of no use to this one)"
+    )]
+    ForeignWal {
+        /// The store.
+        path: PathBuf,
+    },
+    /// Another writer has it, in this or another process.
+    #[error("{path}: is being written by another process{owner}; wait until it is finished")]
+    InUse {
+        /// The store.
+        path: PathBuf,
+        /// Empty, or ` (process N)`.
+        owner: String,
+    },
+    /// SQLite waited for another process in vain.
+    #[error("{path}: another process keeps it locked; try again")]
+    Busy {
+        /// The store.
+        path: PathBuf,
+    },
+    /// No space left.
+    #[error("{path}: the disk is full; free some space and run the command again: what was committed is kept")]
+    Full {
+        /// The store.
+        path: PathBuf,
+    },
+    /// The place can't be written.
+    #[error("{path}: cannot be written (read-only file, folder or medium); copy it to a writable place")]
+    ReadOnly {
+        /// The store.
+        path: PathBuf,
+    },
+    /// The place can't be read as it is.
+    #[error(
+        "{path}: has uncommitted traces of a writer in {path}-wal but lies on a read-only medium; copy both files to a \
+         writable place and open the copy"
+    )]
+    NeedsRecovery {
+        /// The store.
+        path: PathBuf,
+    },
+    /// The operating system refused.
+    #[error("{path}: {action} failed")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// SQLite failed otherwise.
+    #[error("{path}: SQLite failed")]
+    Sqlite {
+        /// The store.
+        path: PathBuf,
+        /// SQLite's word.
+        source: rusqlite::Error,
+    },
+    /// What was to be committed contradicts itself: a mistake of the caller, not of the file. Nothing was changed.
+    #[error("{path}: refused to commit: {what}")]
+    Inconsistent {
+        /// The store.
+        path: PathBuf,
+        /// The contradiction.
+        what: String,
+    },
+}
+
+/// What goes wrong while rows are read or written, before the store's path is known.
+#[derive(Debug)]
+pub(super) enum RowError {
+    /// A row is missing or wrong.
+    Damage { table: &'static str, key: String, what: String },
+    /// SQLite's own.
+    Sqlite(rusqlite::Error),
+    /// The caller's mistake.
+    Inconsistent(String),
+}
+
+impl RowError {
+    /// A damaged row.
+    pub fn damage(table: &'static str, key: impl Into<String>, what: impl Into<String>) -> Self {
+        Self::Damage { table, key: key.into(), what: what.into() }
+    }
+
+    /// With the path of the store.
+    pub fn at(self, path: &Path) -> StoreError {
+        let path = path.to_path_buf();
+        match self {
+            Self::Damage { table, key, what } => StoreError::Damaged { path, table, key, what },
+            Self::Sqlite(source) => from_sqlite(source, path),
+            Self::Inconsistent(what) => StoreError::Inconsistent { path, what },
+        }
+    }
+}
+
+impl From<rusqlite::Error> for RowError {
+    fn from(error: rusqlite::Error) -> Self {
+        Self::Sqlite(error)
+    }
+}
+
+fn from_sqlite(error: rusqlite::Error, path: PathBuf) -> StoreError {
+    let damaged = |what: String| StoreError::Damaged {
+        path: path.clone(),
+        table: "SQLite",
+        key: "structure of the file".into(),
+        what,
+    };
+    match &error {
+        rusqlite::Error::SqliteFailure(ffi::Error { code, extended_code }, message) => match code {
+            ErrorCode::DatabaseCorrupt => damaged(error.to_string()),
+            ErrorCode::NotADatabase => {
+                StoreError::NotAStore { path, found: "it does not begin as an SQLite database does".into() }
+            }
+            ErrorCode::DiskFull => StoreError::Full { path },
+            ErrorCode::ReadOnly if *extended_code == ffi::SQLITE_READONLY_RECOVERY => {
+                StoreError::NeedsRecovery { path }
+            }
+            ErrorCode::ReadOnly => StoreError::ReadOnly { path },
+            ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked => StoreError::Busy { path },
+            // Our statements fit our schema: if SQLite can't make sense of them, the schema is damaged.
+            ErrorCode::Unknown => damaged(message.clone().unwrap_or_else(|| error.to_string())),
+            _ => StoreError::Sqlite { path, source: error },
+        },
+        rusqlite::Error::InvalidColumnType(..)
+        | rusqlite::Error::IntegralValueOutOfRange(..)
+        | rusqlite::Error::FromSqlConversionFailure(..)
+        | rusqlite::Error::Utf8Error(..)
+        | rusqlite::Error::QueryReturnedNoRows => damaged(error.to_string()),
+        _ => StoreError::Sqlite { path, source: error },
+    }
+}

@@ -1,0 +1,89 @@
+//! The files of a store: its own, and those that may lie beside it.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+/// The start of the name of a temporary file of an ingest, after the store's own name: `STORE.spill-*`.
+pub const SPILL_SUFFIX: &str = ".spill-";
+
+/// `path` with something appended to its file name.
+pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(suffix);
+    name.into()
+}
+
+/// The write-ahead log.
+pub(super) fn wal(path: &Path) -> PathBuf {
+    beside(path, "-wal")
+}
+
+/// The size of the write-ahead log; 0 if there is none.
+pub(super) fn wal_bytes(path: &Path) -> u64 {
+    std::fs::metadata(wal(path)).map_or(0, |m| m.len())
+}
+
+/// The path of a temporary file of an ingest into this store; `tag` tells several apart. What a crash leaves of such
+/// files is removed by the next writer.
+pub fn spill_path(store: &Path, tag: &str) -> PathBuf {
+    beside(store, &format!("{SPILL_SUFFIX}{tag}"))
+}
+
+/// Removes files of crashed ingests; the caller holds the writer's lock. Gives how many there were.
+pub(super) fn remove_spills(path: &Path) -> std::io::Result<u64> {
+    let Some(name) = path.file_name() else { return Ok(0) };
+    let mut prefix = name.to_os_string();
+    prefix.push(SPILL_SUFFIX);
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut removed = 0;
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
+            std::fs::remove_file(entry.path())?;
+            removed += 1;
+        }
+    }
+    Ok(removed)
+}
+
+/// An SQLite URI for the file, with every special byte of the path escaped.
+pub(super) fn uri(path: &Path, parameters: &str) -> String {
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let mut uri = String::from("file:");
+    if !absolute.as_os_str().as_encoded_bytes().starts_with(b"/") {
+        uri.push('/');
+    }
+    for &b in absolute.as_os_str().as_encoded_bytes() {
+        match b {
+            b'/' | b'.' | b'-' | b'_' | b'~' | b'0'..=b'9' | b'a'..=b'z' | b'A'..=b'Z' => uri.push(b as char),
+            b'\\' if cfg!(windows) => uri.push('/'),
+            b':' if cfg!(windows) => uri.push(':'),
+            _ => uri.push_str(&format!("%{b:02X}")),
+        }
+    }
+    uri.push('?');
+    uri.push_str(parameters);
+    uri
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn special_characters_of_a_path_are_escaped() {
+        assert_eq!(uri(Path::new("/a b/c?d#e%f.esker"), "mode=ro"), "file:/a%20b/c%3Fd%23e%25f.esker?mode=ro");
+    }
+
+    #[test]
+    fn only_spills_of_this_store_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = folder.path().join("a.esker");
+        let other = spill_path(&folder.path().join("aa.esker"), "1");
+        for path in [spill_path(&store, "1"), spill_path(&store, "2"), other.clone(), wal(&store)] {
+            std::fs::write(path, b"x").unwrap();
+        }
+        assert_eq!(remove_spills(&store).unwrap(), 2);
+        assert!(other.exists() && wal(&store).exists());
+    }
+}

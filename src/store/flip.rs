@@ -1,0 +1,204 @@
+//! The last transaction of a change: node rows, scans, attributes, the site; checked as a whole before it counts.
+
+use super::error::RowError;
+use super::index::NodeIndex;
+use super::model::{NodeHead, Scan, ScanId, StoredAttribute, Zones};
+use super::rows::{self, SiteRow};
+use super::snapshot::facts;
+use crate::lattice::Cube;
+use crate::points::Crs;
+use rusqlite::Connection;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What a commit changes.
+#[derive(Clone, Debug, Default)]
+pub struct Flip {
+    /// New scans, with ids from [`super::Writer::reserve_scan`].
+    pub scans_added: Vec<Scan>,
+    /// Scans that are gone.
+    pub scans_removed: Vec<ScanId>,
+    /// New rows for scans that stay (shown or hidden, say).
+    pub scans_changed: Vec<Scan>,
+    /// The root of each layer; `None` leaves them as they are.
+    pub roots: Option<Vec<Option<Cube>>>,
+    /// The nodes.
+    pub nodes: NodeChange,
+    /// The site's CRS; `None` leaves it as it is.
+    pub crs: Option<Crs>,
+}
+
+/// Which node rows change. A node whose `chunk_base` stays keeps its chunk rows; those of all others that were there
+/// before are removed.
+#[derive(Clone, Debug, Default)]
+pub enum NodeChange {
+    /// None.
+    #[default]
+    Keep,
+    /// These are all nodes, in any order.
+    ReplaceAll(Vec<(NodeHead, Zones)>),
+    /// Some.
+    Delta {
+        /// New, or in place of the row with the same layer and cube.
+        put: Vec<(NodeHead, Zones)>,
+        /// Gone.
+        delete: Vec<(u16, Cube)>,
+    },
+}
+
+/// Writes the change inside a transaction that the caller has begun and will end. `base` is the site's row before it,
+/// with the ids given out since; all `attributes` are written that are not there yet.
+pub(super) fn flip(
+    connection: &Connection,
+    base: &SiteRow,
+    attributes: &[StoredAttribute],
+    change: Flip,
+) -> Result<SiteRow, RowError> {
+    let mut site = base.clone();
+    site.site.generation += 1;
+    if let Some(roots) = change.roots {
+        site.site.roots = roots;
+    }
+    if change.crs.is_some() {
+        site.site.crs = change.crs;
+    }
+    for attribute in attributes.iter().skip(usize::try_from(base.attributes).unwrap_or(usize::MAX)) {
+        rows::put_attribute(connection, attribute)?;
+    }
+    site.attributes = attributes.len() as u64;
+    let removed = change.scans_removed.iter().chain(change.scans_changed.iter().map(|s| &s.id));
+    for &id in removed {
+        if !rows::delete_scan(connection, id)? {
+            return Err(RowError::Inconsistent(format!("there is no scan {id}")));
+        }
+    }
+    for scan in change.scans_changed.iter().chain(&change.scans_added) {
+        if scan.id >= base.next_scan {
+            return Err(RowError::Inconsistent(format!("the number of scan {} was not reserved", scan.id)));
+        }
+        rows::put_scan(connection, scan)?;
+    }
+    site.scans = count(connection, "scan")?;
+    let (old, new) = put_nodes(connection, change.nodes)?;
+    site.nodes = count(connection, "node")?;
+    put_garbage(connection, old, &new)?;
+    rows::put_site(connection, &site)?;
+    check(connection)?;
+    Ok(site)
+}
+
+fn count(connection: &Connection, table: &str) -> Result<u64, RowError> {
+    let n: i64 = connection.query_row(&format!("SELECT count(*) FROM {table}"), [], |row| row.get(0))?;
+    Ok(n.unsigned_abs())
+}
+
+/// The chunk rows of nodes: first id to the id after the last.
+type Ranges = BTreeMap<i64, i64>;
+
+fn note(ranges: &mut Ranges, head: &NodeHead) {
+    let ids = head.chunk_ids();
+    if !ids.is_empty() {
+        ranges.insert(ids.start, ids.end);
+    }
+}
+
+/// Writes the node rows; gives the chunk rows of those that were there before and of those that were put.
+fn put_nodes(connection: &Connection, change: NodeChange) -> Result<(Ranges, BTreeSet<i64>), RowError> {
+    let mut old = Ranges::new();
+    let mut put = match change {
+        NodeChange::Keep => return Ok((old, BTreeSet::new())),
+        NodeChange::ReplaceAll(nodes) => {
+            rows::load_nodes(connection, |head| {
+                note(&mut old, &head?);
+                Ok(())
+            })?;
+            connection.execute_batch("DELETE FROM node; DELETE FROM zone")?;
+            nodes
+        }
+        NodeChange::Delta { put, delete } => {
+            for (layer, cube) in delete {
+                let head = rows::load_node(connection, layer, cube)?;
+                let head = head.ok_or_else(|| RowError::Inconsistent("a node to delete is not there".into()))?;
+                note(&mut old, &head);
+                rows::delete_node(connection, layer, cube)?;
+                rows::delete_zones(connection, layer, cube)?;
+            }
+            for (head, _) in &put {
+                if let Some(before) = rows::load_node(connection, head.layer, head.cube)? {
+                    note(&mut old, &before);
+                }
+            }
+            put
+        }
+    };
+    // In the table's order, so that its pages fill up.
+    put.sort_by_key(|(head, _)| (head.layer, head.cube.node_key()));
+    let mut new = BTreeSet::new();
+    for (head, zones) in &put {
+        let ids = head.chunk_ids();
+        if !ids.is_empty() && !new.insert(ids.start) {
+            return Err(RowError::Inconsistent("two nodes have the same chunk rows".into()));
+        }
+        rows::put_node(connection, head)?;
+        rows::put_zones(connection, head.layer, head.cube, zones)?;
+    }
+    Ok((old, new))
+}
+
+/// Neighbouring ranges become one.
+fn put_garbage(connection: &Connection, old: Ranges, new: &BTreeSet<i64>) -> Result<(), RowError> {
+    let mut joined: Vec<(i64, i64)> = Vec::new();
+    for (first, end) in old {
+        if new.contains(&first) {
+            continue;
+        }
+        match joined.last_mut() {
+            Some(last) if last.1 == first => last.1 = end,
+            _ => joined.push((first, end)),
+        }
+    }
+    let mut statement = connection.prepare_cached("INSERT OR REPLACE INTO garbage (first, last) VALUES (?, ?)")?;
+    for (first, end) in joined {
+        statement.execute((first, end - 1))?;
+    }
+    Ok(())
+}
+
+/// Reads all of it back: a mistake of the caller must not become a damaged store.
+fn check(connection: &Connection) -> Result<(), RowError> {
+    let mistake = |e: RowError| match e {
+        RowError::Damage { table, key, what } => RowError::Inconsistent(format!("table {table}, {key}: {what}")),
+        e => e,
+    };
+    let (site, scans, _) = facts(connection).map_err(mistake)?;
+    let index = NodeIndex::load(connection, &site).map_err(mistake)?;
+    match conservation(&index, &scans).into_iter().next() {
+        Some((scan, what)) => Err(RowError::Inconsistent(format!("scan {scan}: {what}"))),
+        None => Ok(()),
+    }
+}
+
+/// Law 1, scan by scan: what does not hold.
+pub(super) fn conservation(index: &NodeIndex, scans: &[Scan]) -> Vec<(ScanId, String)> {
+    let mut found: BTreeMap<ScanId, u64> = BTreeMap::new();
+    for root in index.roots() {
+        for scan in &index.head(root).scans {
+            *found.entry(scan.scan).or_default() += scan.subtree;
+        }
+    }
+    let mut wrong = Vec::new();
+    for scan in scans {
+        let (id, tree) = (scan.id, found.remove(&scan.id).unwrap_or(0));
+        if scan.stored.checked_add(scan.rejected.total()) != Some(scan.read) {
+            let (read, stored, rejected) = (scan.read, scan.stored, scan.rejected.total());
+            wrong.push((id, format!("{read} points read are not {stored} stored and {rejected} rejected")));
+        }
+        if tree != scan.stored {
+            wrong.push((id, format!("{} points stored, but the tree has {tree}", scan.stored)));
+        }
+        if scan.bounds.is_some() != (scan.stored > 0) {
+            wrong.push((id, "bounds without points, or the reverse".into()));
+        }
+    }
+    wrong.extend(found.into_iter().map(|(id, n)| (id, format!("the tree has {n} points of it, but it is not there"))));
+    wrong
+}

@@ -1,0 +1,215 @@
+//! The store itself: made, opened, looked at.
+
+use super::connection::{self, Purpose};
+use super::error::{RowError, StoreError};
+use super::files::{beside, wal};
+use super::lock::WriterLock;
+use super::model::Site;
+use super::place::{Place, lock};
+use super::rows::{SiteRow, load_generation, put_site};
+use super::snapshot::{Inner, Snapshot};
+use super::writer::Writer;
+use crate::lattice::Lattice;
+use crate::points::Crs;
+use rusqlite::Connection;
+use std::fs::OpenOptions;
+use std::path::Path;
+use std::sync::{Arc, Mutex, Weak};
+
+/// What is fixed when a store is made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SiteOptions {
+    /// Quantum and phase.
+    pub lattice: Lattice,
+    /// The sampling grid has `2^g` cells a side: [`super::model::FORMAT_G`] but for tests.
+    pub g: u8,
+    /// The leaf rule: [`super::model::FORMAT_LEAF_CAPACITY`] but for tests.
+    pub leaf_capacity: u32,
+    /// The CRS, if it is known already.
+    pub crs: Option<Crs>,
+}
+
+impl SiteOptions {
+    /// As format version 1 fixes it, on this lattice.
+    pub fn new(lattice: Lattice) -> Self {
+        let (g, leaf_capacity) = (super::model::FORMAT_G, super::model::FORMAT_LEAF_CAPACITY);
+        Self { lattice, g, leaf_capacity, crs: None }
+    }
+}
+
+/// A store: one file, or memory. Cheap to clone; clones are the same store.
+#[derive(Clone, Debug)]
+pub struct Store {
+    place: Arc<Place>,
+    /// The newest snapshot, as long as somebody holds it: shared by those who ask for the same generation.
+    newest: Arc<Mutex<Weak<Inner>>>,
+}
+
+impl Store {
+    /// Makes an empty store in a file that is not there yet, or is empty.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::AlreadyThere`], [`StoreError::InUse`], [`StoreError::ReadOnly`], [`StoreError::Full`],
+    /// [`StoreError::Io`].
+    pub fn create(path: impl AsRef<Path>, options: SiteOptions) -> Result<Self, StoreError> {
+        let path = path.as_ref();
+        let io = |source: std::io::Error| match source.kind() {
+            std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
+                StoreError::ReadOnly { path: path.into() }
+            }
+            std::io::ErrorKind::StorageFull => StoreError::Full { path: path.into() },
+            _ => StoreError::Io { path: path.into(), action: "making the store", source },
+        };
+        if path.is_dir() {
+            return Err(StoreError::Directory { path: path.into() });
+        }
+        if std::fs::metadata(path).is_ok_and(|m| m.len() > 0) {
+            return Err(StoreError::AlreadyThere { path: path.into() });
+        }
+        let _lock = WriterLock::take(path)?;
+        match OpenOptions::new().write(true).create_new(true).open(path) {
+            Ok(_) => {}
+            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
+                // Again, now that nobody else can be making one: nothing but an empty file is taken over.
+                if std::fs::metadata(path).map_err(io)?.len() > 0 {
+                    return Err(StoreError::AlreadyThere { path: path.into() });
+                }
+            }
+            Err(e) => return Err(io(e)),
+        }
+        // What lies beside an empty file belongs to a store that was deleted; SQLite would take it for the new one's.
+        for stale in [wal(path), beside(path, "-shm"), beside(path, "-journal")] {
+            match std::fs::remove_file(&stale) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(io(e)),
+                _ => {}
+            }
+        }
+        let made = connection::create(Some(path), |c| put_site(c, &first_row(options)));
+        match made {
+            Ok(_) => Self::open(path),
+            Err(e) => {
+                let _ = std::fs::remove_file(path);
+                Err(e.at(path))
+            }
+        }
+    }
+
+    /// Opens a store for reading; [`Store::writer`] is what writes.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::NotThere`], [`StoreError::Directory`], [`StoreError::NotAStore`], [`StoreError::Newer`],
+    /// [`StoreError::ForeignWal`], [`StoreError::NeedsRecovery`], [`StoreError::Damaged`].
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        let path = path.as_ref();
+        let (purpose, connection) = connection::open_for_reading(path)?;
+        Ok(Self::at(Place::file(path, purpose, Some(connection))))
+    }
+
+    /// Makes an empty store in memory: gone with its last handle.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Sqlite`] if there is no memory.
+    pub fn in_memory(options: SiteOptions) -> Result<Self, StoreError> {
+        let made = connection::create(None, |c| put_site(c, &first_row(options)));
+        made.map(|c| Self::at(Place::memory(c))).map_err(|e| e.at(Path::new("(store in memory)")))
+    }
+
+    fn at(place: Place) -> Self {
+        Self { place: Arc::new(place), newest: Arc::default() }
+    }
+
+    /// The file; `None` for a store in memory.
+    pub fn path(&self) -> Option<&Path> {
+        match &*self.place {
+            Place::File(file) => Some(&file.path),
+            Place::Memory(_) => None,
+        }
+    }
+
+    /// The newest generation, held until the snapshot is dropped.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if the site, a scan or an attribute is missing or wrong.
+    pub fn snapshot(&self) -> Result<Snapshot, StoreError> {
+        let mut newest = lock(&self.newest);
+        let inner = match &*self.place {
+            Place::Memory(_) => Inner::of_memory(&self.place).map_err(|e| self.place.error(e))?,
+            Place::File(file) => {
+                let connection = file.connect()?;
+                let seen = connection.execute_batch("BEGIN").map_err(RowError::from);
+                let seen = seen.and_then(|()| load_generation(&connection)).map_err(|e| self.place.error(e))?;
+                if let Some(held) = newest.upgrade().filter(|held| held.generation() == seen) {
+                    file.give_back(connection);
+                    return Ok(Snapshot::of(held));
+                }
+                let renews = file.purpose != Purpose::Immutable;
+                Inner::of_file(&self.place, connection, renews).map_err(|e| self.place.error(e))?
+            }
+        };
+        let inner = Arc::new(inner);
+        *newest = Arc::downgrade(&inner);
+        Ok(Snapshot::of(inner))
+    }
+
+    /// Has anything been committed since `snapshot`?
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if the site's row can't be read.
+    pub fn changed(&self, snapshot: &Snapshot) -> Result<bool, StoreError> {
+        let generation = match &*self.place {
+            Place::Memory(memory) => load_generation(&lock(&memory.connection)),
+            Place::File(file) => {
+                let connection = file.connect()?;
+                let generation = load_generation(&connection);
+                file.give_back(connection);
+                generation
+            }
+        };
+        Ok(generation.map_err(|e| self.place.error(e))? != snapshot.generation())
+    }
+
+    /// The one writer.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::InUse`] if there is another, [`StoreError::ReadOnly`], [`StoreError::Full`],
+    /// [`StoreError::Damaged`].
+    pub fn writer(&self) -> Result<Writer, StoreError> {
+        Writer::open(&self.place)
+    }
+}
+
+fn first_row(options: SiteOptions) -> SiteRow {
+    let SiteOptions { lattice, g, leaf_capacity, crs } = options;
+    SiteRow {
+        site: Site { lattice, g, leaf_capacity, roots: vec![None], crs, generation: 0 },
+        store_id: rand::random(),
+        next_chunk: 0,
+        next_scan: 1,
+        nodes: 0,
+        scans: 0,
+        attributes: 0,
+    }
+}
+
+/// Runs `f` with a connection of its own in no transaction: for checks that go beyond a snapshot.
+pub(super) fn with_connection<R>(
+    place: &Place,
+    f: impl FnOnce(&Connection) -> Result<R, RowError>,
+) -> Result<R, StoreError> {
+    match place {
+        Place::Memory(memory) => f(&lock(&memory.connection)),
+        Place::File(file) => {
+            let connection = file.connect()?;
+            let result = f(&connection);
+            file.give_back(connection);
+            result
+        }
+    }
+    .map_err(|e| place.error(e))
+}

@@ -1,0 +1,109 @@
+//! The writer's lock: a file beside the store that the kernel unlocks when its holder ends, however it ends.
+
+use super::error::StoreError;
+use super::files::beside;
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+/// Held by the one writer of a store.
+#[derive(Debug)]
+pub(super) struct WriterLock {
+    file: File,
+    path: PathBuf,
+}
+
+impl WriterLock {
+    /// Takes the lock.
+    pub fn take(store: &Path) -> Result<Self, StoreError> {
+        let path = beside(store, "-lock");
+        loop {
+            let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path).map_err(
+                |source| match source.kind() {
+                    std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
+                        StoreError::ReadOnly { path: store.to_path_buf() }
+                    }
+                    std::io::ErrorKind::StorageFull => StoreError::Full { path: store.to_path_buf() },
+                    _ => StoreError::Io { path: path.clone(), action: "opening the writer's lock", source },
+                },
+            )?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => {
+                    let mut owner = String::new();
+                    let _ = (&file).take(20).read_to_string(&mut owner);
+                    let owner = owner.trim().parse::<u32>().map_or(String::new(), |id| format!(" (process {id})"));
+                    return Err(StoreError::InUse { path: store.to_path_buf(), owner });
+                }
+                Err(TryLockError::Error(source)) => {
+                    return Err(StoreError::Io { path, action: "taking the writer's lock", source });
+                }
+            }
+            // The one who held it before may have removed the file between our opening and our locking it.
+            if is_at(&file, &path) {
+                let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
+                return Ok(Self { file, path });
+            }
+        }
+    }
+
+    /// Is there a writer? Looks without taking part.
+    pub fn is_taken(store: &Path) -> bool {
+        let Ok(file) = File::open(beside(store, "-lock")) else { return false };
+        matches!(file.try_lock_shared(), Err(TryLockError::WouldBlock))
+    }
+}
+
+impl Drop for WriterLock {
+    fn drop(&mut self) {
+        // While it is still held, so that nobody can hold a removed file and believe in it: see `take`.
+        if cfg!(unix) {
+            let _ = std::fs::remove_file(&self.path);
+        }
+        let _ = self.file.unlock();
+    }
+}
+
+/// Is `file` what lies under `path`?
+#[cfg(unix)]
+fn is_at(file: &File, path: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let id = |m: std::fs::Metadata| (m.dev(), m.ino());
+    match (file.metadata(), std::fs::metadata(path)) {
+        (Ok(a), Ok(b)) => id(a) == id(b),
+        _ => false,
+    }
+}
+
+/// Nobody removes the file here.
+#[cfg(not(unix))]
+fn is_at(_: &File, _: &Path) -> bool {
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lock_is_held_by_one_and_given_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = folder.path().join("a.esker");
+        assert!(!WriterLock::is_taken(&store));
+        let lock = WriterLock::take(&store).unwrap();
+        assert!(WriterLock::is_taken(&store));
+        let error = WriterLock::take(&store).unwrap_err().to_string();
+        assert!(error.contains("a.esker") && error.contains(&std::process::id().to_string()), "{error}");
+        drop(lock);
+        assert!(!WriterLock::is_taken(&store));
+        drop(WriterLock::take(&store).unwrap());
+    }
+
+    #[test]
+    fn a_lock_file_that_a_killed_process_left_holds_nobody_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = folder.path().join("a.esker");
+        std::fs::write(beside(&store, "-lock"), b"12345").unwrap();
+        WriterLock::take(&store).unwrap();
+    }
+}

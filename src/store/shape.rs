@@ -1,0 +1,226 @@
+//! How a node's own points lie: bounds, mean, moments, radius, spacing. Functions of the set of points and its order by
+//! key alone: sums are of integers, and samples are taken by rank.
+
+use super::model::Shape;
+use crate::lattice::{Cube, Key, LOW_DIGITS, LatticeBox, LatticePoint, PRIORITY_MASK, SortKey};
+
+/// Points whose nearest neighbour is looked for.
+const SAMPLE: usize = 256;
+
+/// Neighbours in key order on each side that are looked at.
+const WINDOW: usize = 16;
+
+/// Coordinates relative to a cube's low corner, by axis; kept between nodes.
+#[derive(Debug, Default)]
+pub(super) struct Relative {
+    axes: [Vec<u64>; 3],
+}
+
+impl Relative {
+    /// Of the points with these keys, which are inside `cube`.
+    pub fn fill<K: SortKey>(&mut self, cube: Cube, keys: &[K]) {
+        self.axes.iter_mut().for_each(Vec::clear);
+        if cube.k() <= LOW_DIGITS {
+            // One axis after the other, so that the compiler takes several keys at a time.
+            let inside = cube.side() - 1;
+            let flip = PRIORITY_MASK & inside;
+            for (axis, column) in self.axes.iter_mut().enumerate() {
+                column.extend(keys.iter().map(|key| (compact(key.halves().1 >> axis) & inside) ^ flip));
+            }
+        } else {
+            let low = cube.low().0;
+            for key in keys {
+                let (high, rest) = key.halves();
+                let point = Key { high, low: rest }.point().0;
+                self.axes.iter_mut().enumerate().for_each(|(i, column)| column.push(point[i].wrapping_sub(low[i])));
+            }
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.axes[0].len()
+    }
+
+    /// Tight bounds.
+    pub fn bounds(&self, cube: Cube) -> Option<LatticeBox> {
+        let low = cube.low().0;
+        let mut bounds = LatticeBox::of(LatticePoint::default());
+        for (axis, column) in self.axes.iter().enumerate() {
+            let (least, greatest) = column.iter().fold((u64::MAX, 0), |(a, b), &v| (a.min(v), b.max(v)));
+            if column.is_empty() {
+                return None;
+            }
+            bounds.min.0[axis] = low[axis].saturating_add(least);
+            bounds.max.0[axis] = low[axis].saturating_add(greatest);
+        }
+        Some(bounds)
+    }
+
+    /// Everything but the colour.
+    pub fn shape(&self, cube: Cube) -> Shape {
+        let n = self.len();
+        if n == 0 {
+            return Shape::default();
+        }
+        let narrow = cube.k() <= LOW_DIGITS && n < 1 << 22;
+        let Sums { one, two } = if narrow { self.narrow_sums() } else { self.wide_sums() };
+        let count = n as f64;
+        let mean = one.map(|s| s as f64 / count);
+        // Exactly about the nearest lattice point to the mean, so that nothing cancels; the rest, below half a step, in
+        // floats.
+        let n = n as i128;
+        let center = one.map(|s| (2 * s + n).div_euclid(2 * n));
+        let rest: [f64; 3] = std::array::from_fn(|i| (one[i] - n * center[i]) as f64 / count);
+        let mut moments = [0.0; 6];
+        for (m, (i, j)) in PAIRS.into_iter().enumerate() {
+            let about = two[m] - center[i] * one[j] - center[j] * one[i] + n * center[i] * center[j];
+            moments[m] = about as f64 / count - rest[i] * rest[j];
+        }
+        Shape { spacing: self.spacing(), mean, moments, radius: self.radius(mean), color: None }
+    }
+
+    /// Sums of coordinates and of products that fit 64 bits: up to 2^22 points of 21 bits.
+    fn narrow_sums(&self) -> Sums {
+        let sum = |v: &[u64]| i128::from(v.iter().sum::<u64>());
+        let product = |a: &[u64], b: &[u64]| {
+            // Below 2^21, so that a product of the low halves is enough.
+            i128::from(a.iter().zip(b).map(|(&a, &b)| u64::from(a as u32) * u64::from(b as u32)).sum::<u64>())
+        };
+        Sums {
+            one: std::array::from_fn(|i| sum(&self.axes[i])),
+            two: PAIRS.map(|(i, j)| product(&self.axes[i], &self.axes[j])),
+        }
+    }
+
+    fn wide_sums(&self) -> Sums {
+        let wide = |v: u64| i128::from(v);
+        Sums {
+            one: std::array::from_fn(|i| self.axes[i].iter().map(|&v| wide(v)).sum()),
+            two: PAIRS.map(|(i, j)| self.axes[i].iter().zip(&self.axes[j]).map(|(&a, &b)| wide(a) * wide(b)).sum()),
+        }
+    }
+
+    fn point(&self, i: usize) -> [f64; 3] {
+        // Below 2^48: exact, and signed conversions are cheaper.
+        std::array::from_fn(|axis| self.axes[axis][i] as i64 as f64)
+    }
+
+    /// The largest distance from `mean`, rounded up.
+    fn radius(&self, mean: [f64; 3]) -> f64 {
+        let squares = (0..self.len()).map(|i| square(self.point(i), mean));
+        squares.fold(0.0, f64::max).sqrt() * (1.0 + 4.0 * f64::EPSILON)
+    }
+
+    /// The mean distance to the nearest neighbour, over a sample that is even in key order, each against its neighbours
+    /// in that order; 0 for a single point.
+    fn spacing(&self) -> f64 {
+        let n = self.len();
+        if n < 2 {
+            return 0.0;
+        }
+        let samples = n.min(SAMPLE);
+        let nearest = |i: usize| {
+            let here = self.point(i);
+            let around = i.saturating_sub(WINDOW)..(i + WINDOW + 1).min(n);
+            around.filter(|&j| j != i).map(|j| square(here, self.point(j))).fold(f64::INFINITY, f64::min).sqrt()
+        };
+        (0..samples).map(|s| nearest(s * n / samples)).sum::<f64>() / samples as f64
+    }
+}
+
+/// Sums over points of coordinates, and of products of coordinates.
+struct Sums {
+    one: [i128; 3],
+    two: [i128; 6],
+}
+
+/// The axes of the six moments.
+const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
+
+fn square(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let [x, y, z] = std::array::from_fn(|i| (a[i] - b[i]) * (a[i] - b[i]));
+    x + y + z
+}
+
+/// Gathers every third bit of the low 63 bits of `v`.
+#[inline]
+fn compact(v: u64) -> u64 {
+    let mut x = v & 0x1249_2492_4924_9249;
+    x = (x | x >> 2) & 0x10c3_0c30_c30c_30c3;
+    x = (x | x >> 4) & 0x100f_00f0_0f00_f00f;
+    x = (x | x >> 8) & 0x001f_0000_ff00_00ff;
+    x = (x | x >> 16) & 0x001f_0000_0000_ffff;
+    (x | x >> 32) & 0x1f_ffff
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn points() -> impl Strategy<Value = (Cube, Vec<LatticePoint>)> {
+        (
+            prop::array::uniform3(0_u64..1 << 48),
+            0_u8..=48,
+            prop::collection::vec(prop::array::uniform3(any::<u64>()), 1..60),
+        )
+            .prop_map(|(corner, k, points)| {
+                let cube = Cube::containing(LatticePoint(corner), k);
+                let inside =
+                    |p: [u64; 3]| LatticePoint(std::array::from_fn(|i| cube.low().0[i] | p[i] & (cube.side() - 1)));
+                let mut points: Vec<_> = points.into_iter().map(inside).collect();
+                points.sort_by_key(|p| Key::of(*p));
+                (cube, points)
+            })
+    }
+
+    proptest! {
+        #[test]
+        fn shapes_are_those_of_the_naive_sums((cube, points) in points()) {
+            let mut relative = Relative::default();
+            let keys: Vec<_> = points.iter().map(|p| Key::of(*p)).collect();
+            relative.fill(cube, &keys);
+            let low = cube.low().0;
+            for (i, p) in points.iter().enumerate() {
+                prop_assert_eq!(std::array::from_fn(|a| relative.axes[a][i]), [0, 1, 2].map(|a| p.0[a] - low[a]));
+            }
+            let naive = points.iter().fold(LatticeBox::of(points[0]), |b, p| b.with(*p));
+            prop_assert_eq!(relative.bounds(cube), Some(naive));
+            let shape = relative.shape(cube);
+            if cube.k() <= LOW_DIGITS {
+                let low_keys: Vec<_> = points.iter().map(|p| p.low_key()).collect();
+                let mut other = Relative::default();
+                other.fill(cube, &low_keys);
+                prop_assert_eq!(other.shape(cube), shape);
+                prop_assert_eq!(relative.narrow_sums().two, relative.wide_sums().two);
+            }
+            let side = cube.side() as f64;
+            let n = points.len() as f64;
+            for a in 0..3 {
+                let mean = points.iter().map(|p| (p.0[a] - low[a]) as f64).sum::<f64>() / n;
+                prop_assert!((mean - shape.mean[a]).abs() <= side * 1e-12);
+            }
+            for (m, (i, j)) in PAIRS.into_iter().enumerate() {
+                let about = |p: &LatticePoint, a: usize| (p.0[a] - low[a]) as f64 - shape.mean[a];
+                let naive = points.iter().map(|p| about(p, i) * about(p, j)).sum::<f64>() / n;
+                prop_assert!((naive - shape.moments[m]).abs() <= side * side * 1e-12, "{naive} {:?}", shape.moments);
+            }
+            for i in 0..points.len() {
+                prop_assert!(square(relative.point(i), shape.mean).sqrt() <= shape.radius);
+            }
+        }
+    }
+
+    #[test]
+    fn spacing_of_a_regular_grid_is_its_step() {
+        let cube = Cube::containing(LatticePoint([0; 3]), 7);
+        let mut keys: Vec<_> = (0..32 * 32_u64).map(|i| LatticePoint([i % 32 * 4, i / 32 * 4, 5]).low_key()).collect();
+        keys.sort_unstable();
+        let mut relative = Relative::default();
+        relative.fill(cube, &keys);
+        let spacing = relative.shape(cube).spacing;
+        assert!((4.0..4.2).contains(&spacing), "{spacing}");
+        relative.fill(cube, &keys[..1]);
+        assert_eq!(relative.shape(cube).spacing, 0.0);
+    }
+}

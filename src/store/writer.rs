@@ -1,0 +1,439 @@
+//! The one writer: payload in transactions of bounded size, then one small transaction that makes it count.
+//!
+//! Rows of `chunk` that no node refers to are invisible, so what is written before the flip changes nothing. Ids of
+//! chunk rows only grow: after a crash the rows that were never referred to are those from `site.next_chunk` on, and
+//! those that a flip left behind are in `garbage`.
+
+use super::connection::{self, Purpose};
+use super::error::{RowError, StoreError};
+use super::files::{remove_spills, wal_bytes};
+use super::flip::{Flip, flip};
+use super::lock::WriterLock;
+use super::model::{FIRST_ATTRIBUTE, SLOT_PACKED, SLOT_STRIDE, ScanId, Site, Slot, StoredAttribute};
+use super::place::{Place, lock};
+use super::rows::{self, ChunkRow, SiteRow};
+use super::snapshot::facts;
+use crate::points::Attribute;
+use rusqlite::Connection;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
+
+/// Bytes of chunks in one transaction.
+const TRANSACTION_BYTES: u64 = 64 << 20;
+
+/// A log beyond this is checkpointed as soon as readers allow.
+const WAL_BYTES: u64 = 192 << 20;
+
+/// How long the writer waits for readers to let go of the log; they renew their transactions several times in this
+/// time, unless a flip has overtaken them.
+const WAIT_FOR_READERS: Duration = Duration::from_millis(600);
+
+/// Rows that are removed in one transaction.
+const REMOVED_AT_ONCE: usize = 4096;
+
+/// Pages that one step of the incremental vacuum frees.
+const VACUUM_PAGES: u32 = 4096;
+
+/// Gives out ids of chunk rows; cheap to clone, may be used from any thread.
+#[derive(Clone, Debug)]
+pub struct ChunkIds(Arc<AtomicI64>);
+
+impl ChunkIds {
+    /// The `chunk_base` of a node of this many parts. Never the same twice in the life of a store.
+    pub fn reserve(&self, parts: usize) -> i64 {
+        self.0.fetch_add((parts as i64).saturating_mul(SLOT_STRIDE), Ordering::Relaxed)
+    }
+
+    /// The first id that was not given out.
+    fn next(&self) -> i64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// What a crash had left and the writer has removed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Leftovers {
+    /// Chunk rows that no node refers to.
+    pub chunk_rows: u64,
+    /// Temporary files.
+    pub spill_files: u64,
+}
+
+/// What a commit came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Committed {
+    /// The generation now.
+    pub generation: u64,
+    /// Chunk rows removed that belonged to older generations.
+    pub removed_rows: u64,
+    /// Is the log empty? If not, a reader of an older generation is holding it.
+    pub log_truncated: bool,
+}
+
+/// The one writer of a store. Dropped without a commit, it leaves the store as it was.
+#[derive(Debug)]
+pub struct Writer {
+    place: Arc<Place>,
+    /// For a store in a file; declared before the lock, so that it is closed before the lock is given back.
+    connection: Option<Connection>,
+    lock: Option<WriterLock>,
+    site: SiteRow,
+    /// The committed ones, then the pending ones.
+    attributes: Vec<StoredAttribute>,
+    ids: ChunkIds,
+    next_scan: ScanId,
+    /// Bytes in the open payload transaction; `None` if there is none.
+    pending_bytes: Option<u64>,
+    /// A payload write failed: what follows can't be complete.
+    failed: bool,
+    /// The size at which the log is looked at next.
+    wal_limit: u64,
+    leftovers: Leftovers,
+}
+
+impl Writer {
+    pub(super) fn open(place: &Arc<Place>) -> Result<Self, StoreError> {
+        let (connection, lock) = match &**place {
+            Place::File(file) => {
+                let taken = WriterLock::take(&file.path)?;
+                let connection = connection::open(&file.path, Purpose::Write).map_err(|e| e.at(&file.path))?;
+                (Some(connection), Some(taken))
+            }
+            Place::Memory(memory) => {
+                if std::mem::replace(&mut *lock(&memory.writer), true) {
+                    return Err(StoreError::InUse { path: place.path().into(), owner: String::new() });
+                }
+                (None, None)
+            }
+        };
+        let read = match (&connection, &**place) {
+            (Some(c), _) => facts(c),
+            (None, Place::Memory(memory)) => facts(&super::place::lock(&memory.connection)),
+            (None, Place::File(_)) => Err(RowError::Inconsistent("there is no connection".into())),
+        };
+        let (site, _, attributes) = read.map_err(|e| {
+            if let Place::Memory(memory) = &**place {
+                *super::place::lock(&memory.writer) = false;
+            }
+            place.error(e)
+        })?;
+        let mut writer = Self {
+            place: place.clone(),
+            connection,
+            lock,
+            next_scan: site.next_scan,
+            ids: ChunkIds(Arc::new(AtomicI64::new(site.next_chunk))),
+            site,
+            attributes,
+            pending_bytes: None,
+            failed: false,
+            wal_limit: WAL_BYTES,
+            leftovers: Leftovers::default(),
+        };
+        writer.leftovers = writer.remove_leftovers()?;
+        Ok(writer)
+    }
+
+    fn remove_leftovers(&mut self) -> Result<Leftovers, StoreError> {
+        let spill_files = match &*self.place {
+            Place::File(file) => remove_spills(&file.path).map_err(|source| StoreError::Io {
+                path: file.path.clone(),
+                action: "removing temporary files of a run that was cut off",
+                source,
+            })?,
+            Place::Memory(_) => 0,
+        };
+        let chunk_rows = self.run(|c| remove_unreferenced(c, self.site.next_chunk))? + self.remove_garbage()?;
+        if chunk_rows > 0 {
+            self.tidy();
+        }
+        Ok(Leftovers { chunk_rows, spill_files })
+    }
+
+    /// What a crash had left and is now removed.
+    pub fn leftovers(&self) -> Leftovers {
+        self.leftovers
+    }
+
+    /// The site as it was last committed.
+    pub fn site(&self) -> &Site {
+        &self.site.site
+    }
+
+    /// All attributes, the pending ones included, ascending by id.
+    pub fn attributes(&self) -> &[StoredAttribute] {
+        &self.attributes
+    }
+
+    /// The numbers of these attributes; those that are new (by name and type) are written with the next commit.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Inconsistent`] if there are too many.
+    pub fn add_attributes(&mut self, attributes: &[Attribute]) -> Result<Vec<Slot>, StoreError> {
+        let mut slots = Vec::with_capacity(attributes.len());
+        for attribute in attributes {
+            let known = self.attributes.iter().find(|a| a.attribute.identity() == attribute.identity());
+            let slot = match known {
+                Some(known) => known.id,
+                None => {
+                    let id = self.attributes.last().map_or(FIRST_ATTRIBUTE, |a| a.id.saturating_add(1));
+                    if id == SLOT_PACKED {
+                        let what = "there are too many attributes".into();
+                        return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
+                    }
+                    self.attributes.push(StoredAttribute { id, attribute: attribute.clone() });
+                    id
+                }
+            };
+            slots.push(slot);
+        }
+        Ok(slots)
+    }
+
+    /// The next number for a scan; never given out again once it is committed.
+    pub fn reserve_scan(&mut self) -> ScanId {
+        let id = self.next_scan;
+        self.next_scan = self.next_scan.saturating_add(1);
+        id
+    }
+
+    /// The source of ids for chunk rows.
+    pub fn chunk_ids(&self) -> ChunkIds {
+        self.ids.clone()
+    }
+
+    /// Writes chunk rows, which nothing refers to before the next commit. Transactions stay open from call to call and
+    /// are closed at a bounded size.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`]; the writer can then only be dropped.
+    pub fn put_chunks<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
+        let result = self.try_put(chunks);
+        if result.is_err() {
+            self.failed = true;
+            self.roll_back();
+        }
+        result
+    }
+
+    fn try_put<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
+        let mut pending = self.pending_bytes;
+        let mut chunks = chunks.into_iter().peekable();
+        while chunks.peek().is_some() {
+            let bytes = self.run(|c| {
+                let mut bytes = match pending {
+                    Some(bytes) => bytes,
+                    None => {
+                        c.execute_batch("PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE")?;
+                        0
+                    }
+                };
+                while bytes < TRANSACTION_BYTES {
+                    let Some(chunk) = chunks.next() else { return Ok(Some(bytes)) };
+                    rows::put_chunk(c, chunk)?;
+                    bytes += chunk.bytes.len() as u64;
+                }
+                c.execute_batch("COMMIT")?;
+                Ok(None)
+            });
+            pending = bytes?;
+            self.pending_bytes = pending;
+            if pending.is_none() {
+                self.bound_log();
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes all that was written count: one transaction, durable when this returns. Then removes what older
+    /// generations leave behind, as far as readers allow.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Inconsistent`] if the change contradicts itself or what is stored, [`StoreError::Full`] and others
+    /// if it can't be written: the store is then as it was.
+    pub fn commit(&mut self, change: Flip) -> Result<Committed, StoreError> {
+        if self.failed {
+            let what = "a write failed before".into();
+            return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
+        }
+        if self.pending_bytes.take().is_some()
+            && let Err(e) = self.run(|c| Ok(c.execute_batch("COMMIT")?))
+        {
+            self.failed = true;
+            self.roll_back();
+            return Err(e);
+        }
+        let base = SiteRow { next_chunk: self.ids.next(), next_scan: self.next_scan, ..self.site.clone() };
+        let site = self.run(|c| {
+            c.execute_batch("PRAGMA synchronous = FULL; BEGIN IMMEDIATE")?;
+            let done = flip(c, &base, &self.attributes, change).and_then(|site| {
+                c.execute_batch("COMMIT")?;
+                Ok(site)
+            });
+            if done.is_err() && !c.is_autocommit() {
+                c.execute_batch("ROLLBACK")?;
+            }
+            done
+        })?;
+        self.site = site;
+        // From here on the change is made: what fails now is done by the next writer.
+        let removed_rows = self.remove_garbage().unwrap_or(0);
+        let log_truncated = self.tidy();
+        Ok(Committed { generation: self.site.site.generation, removed_rows, log_truncated })
+    }
+
+    /// Keeps a camera under a name; visible at once.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`].
+    pub fn put_bookmark(&mut self, name: &str, camera_json: &str) -> Result<(), StoreError> {
+        self.run(|c| rows::put_bookmark(c, name, camera_json))
+    }
+
+    /// Gives up: the store is as it was last committed.
+    pub fn abort(self) {}
+
+    fn run<R>(&self, f: impl FnOnce(&Connection) -> Result<R, RowError>) -> Result<R, StoreError> {
+        match (&self.connection, &*self.place) {
+            (Some(connection), _) => f(connection),
+            (None, Place::Memory(memory)) => f(&lock(&memory.connection)),
+            (None, Place::File(_)) => Err(RowError::Inconsistent("the writer is closed".into())),
+        }
+        .map_err(|e| self.place.error(e))
+    }
+
+    fn roll_back(&mut self) {
+        self.pending_bytes = None;
+        let _ = self.run(|c| if c.is_autocommit() { Ok(()) } else { Ok(c.execute_batch("ROLLBACK")?) });
+    }
+
+    /// Removes the rows that `garbage` names, and says how many; in memory only when no older snapshot is left.
+    fn remove_garbage(&self) -> Result<u64, StoreError> {
+        if let Place::Memory(memory) = &*self.place
+            && lock(&memory.snapshots).range(..self.site.site.generation).next().is_some()
+        {
+            return Ok(0);
+        }
+        let mut removed = 0;
+        while let Some(rows) = self.run(remove_some_garbage)? {
+            removed += rows;
+        }
+        Ok(removed)
+    }
+
+    /// Gives free pages back to the disk and empties the log; says whether the log is empty.
+    fn tidy(&mut self) -> bool {
+        if self.connection.is_none() {
+            return true;
+        }
+        let _ = self.run(vacuum);
+        let (_, truncated) = self.checkpoint("TRUNCATE");
+        self.wal_limit = WAL_BYTES;
+        truncated
+    }
+
+    /// Has the log written back and used from its start again, when it has grown.
+    fn bound_log(&mut self) {
+        let Place::File(file) = &*self.place else { return };
+        if wal_bytes(&file.path) < self.wal_limit {
+            return;
+        }
+        let (restarted, _) = self.checkpoint("RESTART");
+        // A reader that holds an older generation can't be hurried: try again when there is as much once more.
+        self.wal_limit = if restarted { WAL_BYTES } else { self.wal_limit.saturating_add(WAL_BYTES) };
+    }
+
+    /// Did it run to its end, and is the log empty?
+    fn checkpoint(&self, mode: &str) -> (bool, bool) {
+        let busy = self.run(|c| {
+            c.busy_timeout(WAIT_FOR_READERS)?;
+            let result = c.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get::<_, i64>(0));
+            c.busy_timeout(connection::PATIENCE)?;
+            Ok(result?)
+        });
+        let done = matches!(busy, Ok(0));
+        let Place::File(file) = &*self.place else { return (done, true) };
+        (done, wal_bytes(&file.path) == 0)
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        self.roll_back();
+        // Best effort: what stays is removed by the next writer.
+        if self.ids.next() > self.site.next_chunk {
+            let removed = self.run(|c| remove_unreferenced(c, self.site.next_chunk));
+            if removed.is_ok_and(|n| n > 0) {
+                self.tidy();
+            }
+        }
+        self.connection = None;
+        self.lock = None;
+        if let Place::Memory(memory) = &*self.place {
+            *lock(&memory.writer) = false;
+        }
+    }
+}
+
+/// Removes chunk rows from `first` on.
+fn remove_unreferenced(connection: &Connection, first: i64) -> Result<u64, RowError> {
+    let mut removed = 0;
+    loop {
+        let rows = remove_some(connection, first, i64::MAX)?;
+        removed += rows as u64;
+        if rows < REMOVED_AT_ONCE {
+            return Ok(removed);
+        }
+    }
+}
+
+fn remove_some(connection: &Connection, first: i64, last: i64) -> Result<usize, RowError> {
+    let mut statement = connection.prepare_cached(
+        "DELETE FROM chunk WHERE id IN (SELECT id FROM chunk WHERE id BETWEEN ? AND ? ORDER BY id LIMIT ?)",
+    )?;
+    Ok(statement.execute((first, last, REMOVED_AT_ONCE as i64))?)
+}
+
+/// One transaction's worth; `None` when there is no garbage left.
+fn remove_some_garbage(connection: &Connection) -> Result<Option<u64>, RowError> {
+    let transaction = connection.unchecked_transaction()?;
+    let mut removed = 0;
+    let mut any = false;
+    while removed < REMOVED_AT_ONCE {
+        let mut ranges = transaction.prepare_cached("SELECT first, last FROM garbage ORDER BY first LIMIT 1")?;
+        let mut ranges = ranges.query([])?;
+        let Some(range) = ranges.next()? else { break };
+        let (first, last): (i64, i64) = (range.get(0)?, range.get(1)?);
+        drop(ranges);
+        any = true;
+        let rows = remove_some(&transaction, first, last)?;
+        removed += rows;
+        if rows < REMOVED_AT_ONCE {
+            transaction.prepare_cached("DELETE FROM garbage WHERE first = ?")?.execute([first])?;
+        }
+    }
+    transaction.commit()?;
+    Ok(any.then_some(removed as u64))
+}
+
+/// Gives all free pages back, some at a time.
+fn vacuum(connection: &Connection) -> Result<(), RowError> {
+    loop {
+        let free: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
+        if free == 0 {
+            return Ok(());
+        }
+        let mut statement = connection.prepare(&format!("PRAGMA incremental_vacuum({VACUUM_PAGES})"))?;
+        let mut steps = statement.query([])?;
+        while steps.next()?.is_some() {}
+        let left: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
+        if left >= free {
+            return Ok(());
+        }
+    }
+}

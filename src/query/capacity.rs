@@ -39,7 +39,9 @@ pub(crate) fn limited(plan: &Plan, finest: Option<u8>, capacity: u64) -> Result<
             None => everything(plan)?,
         };
         match cell {
-            Some(c) if (picks.len() as u64) < capacity && cell != finest => cell = finer(c, picks.len() as u64, capacity, finest),
+            Some(c) if (picks.len() as u64) < capacity && cell != finest => {
+                cell = finer(c, picks.len() as u64, capacity, finest)
+            }
             _ => break picks,
         }
     };

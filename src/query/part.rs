@@ -1,10 +1,10 @@
 //! One part of a node: which of its points match, and their attributes.
 
+use super::QueryError;
 use super::answer::{Meter, Stage};
 use super::block::{Block, BlockScans};
 use super::mask::Mask;
 use super::plan::Plan;
-use super::QueryError;
 use crate::codec::{CodecError, ColumnChunk, Decoder, PositionChunk, block_count, block_range};
 use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
@@ -56,16 +56,14 @@ impl<'a> Part<'a> {
 
     /// Reads the chunks of these columns that are not there yet.
     fn read(&mut self, slots: impl IntoIterator<Item = Slot>) -> Result<(), QueryError> {
-        let missing: Vec<Slot> =
-            slots.into_iter().filter(|s| self.chunks.iter().all(|(have, _)| have != s)).collect();
+        let missing: Vec<Slot> = slots.into_iter().filter(|s| self.chunks.iter().all(|(have, _)| have != s)).collect();
         if missing.is_empty() {
             return Ok(());
         }
         let meter = &self.plan.meter;
         let mut cost = ReadCost::default();
-        let read = meter.time(Stage::Reading, || {
-            self.plan.snapshot.read_part(self.head, self.part, &missing, &mut cost)
-        })?;
+        let read =
+            meter.time(Stage::Reading, || self.plan.snapshot.read_part(self.head, self.part, &missing, &mut cost))?;
         Meter::add(&meter.chunks, cost.rows);
         Meter::add(&meter.bytes_read, cost.bytes);
         self.chunks.extend(missing.into_iter().zip(read));
@@ -185,12 +183,7 @@ impl<'a> Part<'a> {
         Ok(found)
     }
 
-    fn block_scans(
-        &self,
-        decoder: &mut Decoder,
-        chunk: &ColumnChunk,
-        block: usize,
-    ) -> Result<BlockScans, QueryError> {
+    fn block_scans(&self, decoder: &mut Decoder, chunk: &ColumnChunk, block: usize) -> Result<BlockScans, QueryError> {
         if let Some([a, b, c, d, ..]) = chunk.constant() {
             return Ok(BlockScans::One(u32::from_le_bytes([a, b, c, d])));
         }
@@ -258,9 +251,7 @@ impl<'a> Part<'a> {
         }
         let slots: Vec<Slot> = plan.columns.iter().map(|c| c.id).collect();
         self.read(plan.with_scans.then_some(SLOT_SCAN).into_iter().chain(slots))?;
-        plan.meter.time(Stage::Decoding, || {
-            DECODER.with_borrow_mut(|decoder| self.take_with(decoder, found, count))
-        })
+        plan.meter.time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.take_with(decoder, found, count)))
     }
 
     fn take_with(&self, decoder: &mut Decoder, found: &[Found], count: usize) -> Result<Batch, QueryError> {
@@ -269,11 +260,8 @@ impl<'a> Part<'a> {
         batch.positions = Positions::with_capacity(count);
         batch.columns = plan.columns.iter().map(|c| Column::with_capacity(c.attribute.ty, count)).collect();
         let scans = plan.with_scans.then(|| self.scans()).transpose()?;
-        let chunks = plan
-            .columns
-            .iter()
-            .map(|c| self.column(c.id, c.attribute.ty))
-            .collect::<Result<Vec<_>, QueryError>>()?;
+        let chunks =
+            plan.columns.iter().map(|c| self.column(c.id, c.attribute.ty)).collect::<Result<Vec<_>, QueryError>>()?;
         for Found { block, content, mask } in found {
             if mask.is_none() {
                 continue;

@@ -43,7 +43,7 @@ pub(crate) fn deliver<T: Sync>(
     match windows.as_slice() {
         [] => {}
         [one] => {
-            deliver_window(run(one))?;
+            let _done_or_enough = deliver_window(run(one))?;
         }
         many => {
             let stop = AtomicBool::new(false);

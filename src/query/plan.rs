@@ -56,8 +56,7 @@ pub(crate) enum Scope {
 impl Plan {
     pub fn new(query: &Query, snapshot: &Snapshot) -> Result<Self, QueryError> {
         let site = snapshot.site();
-        let names =
-            Names { attributes: snapshot.attributes(), scans: snapshot.scans(), lattice: &site.lattice };
+        let names = Names { attributes: snapshot.attributes(), scans: snapshot.scans(), lattice: &site.lattice };
         let filter = query.filter.as_ref().map(|f| f.bind(&names)).transpose()?;
         let slots = filter.as_ref().map_or_else(Vec::new, BoundFilter::slots);
         let filter_columns = slots.into_iter().filter_map(|s| Some((s, snapshot.attribute(s)?.attribute.ty))).collect();
@@ -137,10 +136,7 @@ impl Plan {
     }
 
     /// Calls `visit` for every node whose subtree can match, in pre-order; `visit` says whether to go on below it.
-    pub fn walk(
-        &self,
-        mut visit: impl FnMut(NodeIx) -> Result<bool, QueryError>,
-    ) -> Result<(), QueryError> {
+    pub fn walk(&self, mut visit: impl FnMut(NodeIx) -> Result<bool, QueryError>) -> Result<(), QueryError> {
         let mut visited = 0;
         for layer in 0..self.index.layers() {
             let nodes = self.index.layer(u16::try_from(layer).unwrap_or(u16::MAX));
@@ -163,9 +159,7 @@ impl Plan {
             let own = match &self.scans {
                 None => head.own_points,
                 // The winner of a cell may be of any scan, so cells are counted in full.
-                Some(scans) => {
-                    head.scans.iter().filter(|s| scans.binary_search(&s.scan).is_ok()).map(|s| s.own).sum()
-                }
+                Some(scans) => head.scans.iter().filter(|s| scans.binary_search(&s.scan).is_ok()).map(|s| s.own).sum(),
             };
             if self.prospect(node, Scope::Own)? != Prospect::Nothing {
                 most.all += own;

@@ -1,1 +1,5 @@
-fn main() {}
+//! The `esker` command.
+
+fn main() -> std::process::ExitCode {
+    esker::cli::main()
+}

@@ -1,1 +1,90 @@
-//! The command line: one file per command.
+//! The command line: one file per command. Data on stdout, words on stderr; exit codes 0 ok, 1 error, 2 usage,
+//! 3 finished with rejected points under `--strict`, 130 interrupted.
+
+mod digest;
+mod generate;
+mod info;
+mod ingest;
+mod output;
+mod progress;
+mod query;
+#[cfg(feature = "render")]
+mod render;
+mod scans;
+mod values;
+mod verify;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Rejected points under `--strict`.
+const EXIT_REJECTED: u8 = 3;
+/// Ctrl-C.
+const EXIT_INTERRUPTED: u8 = 130;
+
+/// How a command ended when it did not fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Outcome {
+    Done,
+    Rejected,
+    /// `verify` found damage and has said so.
+    Damaged,
+}
+
+#[derive(Debug, Parser)]
+#[command(
+    name = "esker",
+    version,
+    about = "Keeps point clouds of any size in one file and gives back the points that a question needs",
+    after_help = "Examples:\n  esker ingest site.esker scans/*.laz\n  esker info site.esker\n  \
+                  esker query site.esker --box 500000,5000000,500050,5000050 -o corner.laz\n  \
+                  esker render site.esker -o site.png\n\n`esker COMMAND --help` has more."
+)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Ingest(ingest::Arguments),
+    Scans(scans::Arguments),
+    Info(info::Arguments),
+    Query(query::Arguments),
+    #[cfg(feature = "render")]
+    Render(render::Arguments),
+    Verify(verify::Arguments),
+    Digest(digest::Arguments),
+    Generate(generate::Arguments),
+}
+
+/// Runs the command that the process was started with.
+pub fn main() -> ExitCode {
+    // A closed pipe ends a program quietly in the shell's tradition; Rust reports it as an error of a write instead,
+    // which `output` turns into a quiet end.
+    let arguments = Arguments::parse();
+    let result = match arguments.command {
+        Command::Ingest(a) => ingest::run(a),
+        Command::Scans(a) => scans::run(&a),
+        Command::Info(a) => info::run(&a),
+        Command::Query(a) => query::run(&a),
+        #[cfg(feature = "render")]
+        Command::Render(a) => render::run(&a),
+        Command::Verify(a) => verify::run(&a),
+        Command::Digest(a) => digest::run(&a),
+        Command::Generate(a) => generate::run(a),
+    };
+    match result {
+        Ok(Outcome::Done) => ExitCode::SUCCESS,
+        Ok(Outcome::Rejected) => ExitCode::from(EXIT_REJECTED),
+        Ok(Outcome::Damaged) => ExitCode::FAILURE,
+        Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            let interrupted = error
+                .downcast_ref::<crate::ingest::IngestError>()
+                .is_some_and(|e| matches!(e, crate::ingest::IngestError::Interrupted));
+            eprintln!("esker: {}", output::one_line(&error));
+            ExitCode::from(if interrupted { EXIT_INTERRUPTED } else { 1 })
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! What can be wrong with a point file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// Why a point file could not be read or written. Messages name the file and, where there is one, the place.
@@ -57,4 +57,12 @@ pub enum FormatError {
         /// Why, and what to do.
         reason: String,
     },
+}
+
+impl FormatError {
+    /// [`FormatError::Unsupported`]; `remedy` is empty or says what to do.
+    pub(super) fn unsupported(path: &Path, what: impl Into<String>, remedy: &str) -> Self {
+        let remedy = if remedy.is_empty() { String::new() } else { format!("; {remedy}") };
+        Self::Unsupported { path: path.to_owned(), what: what.into(), remedy }
+    }
 }

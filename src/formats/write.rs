@@ -1,8 +1,23 @@
 //! What every writer of point files takes: a plan that is fixed before the first point, then batches.
 
+mod csv;
+mod destination;
+mod las;
+mod number;
+mod ply;
+mod rows;
+
+pub use destination::remove_unfinished;
+pub use las::CreationDate;
+
 use super::FormatError;
 use crate::lattice::Lattice;
 use crate::points::{Attribute, Batch, Crs, LasFacts};
+use csv::{CsvSink, CsvWriter};
+use destination::Destination;
+use las::{LasOptions, LasWriter};
+use ply::PlyWriter;
+use std::path::Path;
 use std::sync::Arc;
 
 /// The form of an output.
@@ -54,6 +69,87 @@ pub struct OutputPlan {
     pub crs: Option<Crs>,
     /// For LAS and LAZ; other formats ignore it.
     pub las: LasTarget,
+}
+
+/// What may be said of an output beyond its plan.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CreateOptions {
+    /// Replace an existing file?
+    pub force: bool,
+    /// The points that will come, where that is known: an output that cannot hold them is refused at once.
+    pub points: Option<u64>,
+    /// Are the GPS times of a merged LAS file adjusted standard ones, not seconds of a week? For
+    /// [`LasTarget::AsSource`] the source says.
+    pub standard_gps_time: bool,
+    /// The date in a LAS header; today, if `None`. For files that must be the same whenever they are made.
+    pub creation_date: Option<CreationDate>,
+}
+
+impl CreateOptions {
+    fn las(&self, format: OutputFormat) -> LasOptions {
+        LasOptions {
+            compressed: format == OutputFormat::Laz,
+            date: self.creation_date.unwrap_or_else(CreationDate::today),
+            standard_time: self.standard_gps_time,
+            points: self.points,
+        }
+    }
+}
+
+/// Begins the file `path` in the form `format`. It is written under a temporary name beside `path` and appears there when
+/// it is finished; a writer that is dropped before leaves nothing. After an error a writer can only be dropped.
+///
+/// # Errors
+///
+/// [`FormatError::Unwritable`] if `path` exists and is not to be replaced, is no place for a file, or the plan does not
+/// fit the format; [`FormatError::Io`] if the system refuses.
+pub fn create(
+    path: &Path,
+    format: OutputFormat,
+    plan: &OutputPlan,
+    options: &CreateOptions,
+) -> Result<Box<dyn PointWriter>, FormatError> {
+    let (destination, file) = Destination::file(path, options.force)?;
+    Ok(match format {
+        OutputFormat::Las | OutputFormat::Laz => {
+            Box::new(LasWriter::create(destination, file, plan, options.las(format))?)
+        }
+        OutputFormat::Ply => Box::new(PlyWriter::create(destination, file, plan)?),
+        OutputFormat::Csv => Box::new(CsvWriter::create(CsvSink::File(file, destination), plan)?),
+    })
+}
+
+/// As [`create`], to the standard output. CSV goes there as it comes; the other forms have counts at their front, so they
+/// are written to a temporary file first, in the system's folder for such.
+///
+/// # Errors
+///
+/// As [`create`].
+pub fn create_standard_output(
+    format: OutputFormat,
+    plan: &OutputPlan,
+    options: &CreateOptions,
+) -> Result<Box<dyn PointWriter>, FormatError> {
+    if format == OutputFormat::Csv {
+        return Ok(Box::new(CsvWriter::create(CsvSink::Standard(std::io::stdout()), plan)?));
+    }
+    let (destination, file) = Destination::standard_output()?;
+    Ok(match format {
+        OutputFormat::Ply => Box::new(PlyWriter::create(destination, file, plan)?),
+        _ => Box::new(LasWriter::create(destination, file, plan, options.las(format))?),
+    })
+}
+
+/// Batches must be what the plan announced: types decide how bytes are laid out.
+fn check_batch(batch: &Batch, attributes: &[Attribute], shown: &Path) -> Result<(), FormatError> {
+    let same = batch.columns.len() == attributes.len()
+        && batch.columns.iter().zip(attributes).all(|(c, a)| c.ty() == a.ty && c.len() == batch.len())
+        && batch.positions.y.len() == batch.len()
+        && batch.positions.z.len() == batch.len();
+    if same {
+        return Ok(());
+    }
+    Err(FormatError::Unwritable { path: shown.into(), reason: "a batch has other columns than announced".into() })
 }
 
 /// A file that is being written: it appears under its name when it is finished, or not at all.

@@ -1,1 +1,79 @@
-//! Files to store, parallel, out of core.
+//! Files to store: parallel, out of core, within a memory budget.
+//!
+//! Records of all sources are moved to the lattice and sorted into buckets (in memory, or through one temporary file),
+//! buckets are built into nodes, nodes are encoded and written, and one small transaction makes them the store's
+//! content. Until then the store is what it was.
+//!
+//! Points that the store has already go the same way again, so that the tree is the canonical one whatever the order of
+//! scans.
+
+mod budget;
+mod build;
+mod error;
+mod existing;
+mod gather;
+mod identity;
+mod lattice_choice;
+mod loaded;
+mod naming;
+mod partition;
+mod progress;
+mod report;
+mod rows;
+mod run;
+mod sources;
+mod spill;
+mod subtrees;
+
+pub use error::IngestError;
+pub use lattice_choice::LatticeWish;
+pub use progress::{Progress, Stage};
+pub use report::{Report, ScanReport, Skipped, StageReport};
+pub use run::ingest;
+
+use crate::points::Crs;
+use crate::store::model::{FORMAT_G, FORMAT_LEAF_CAPACITY};
+
+/// How to ingest. The default is right for most sites.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IngestOptions {
+    /// Quantum and phase of a new store.
+    pub lattice: LatticeWish,
+    /// Memory to use at most; `None` for a quarter of the machine's.
+    pub memory_bytes: Option<u64>,
+    /// Threads; `None` for one per core.
+    pub threads: Option<usize>,
+    /// The CRS of all inputs, instead of their own.
+    pub crs: Option<Crs>,
+    /// Take coordinates as they are though the CRS differ.
+    pub ignore_crs: bool,
+    /// Name of the scan, for a single input.
+    pub name: Option<String>,
+    /// Look into folders below the given ones.
+    pub recursive: bool,
+    /// Refuse truncated files.
+    pub strict: bool,
+    /// The sampling grid of a new store, `2^g` cells a side. Format version 1 has 7; others are for tests.
+    #[doc(hidden)]
+    pub g: u8,
+    /// The leaf capacity of a new store. Format version 1 has 32,768; others are for tests.
+    #[doc(hidden)]
+    pub leaf_capacity: u32,
+}
+
+impl Default for IngestOptions {
+    fn default() -> Self {
+        Self {
+            lattice: LatticeWish::default(),
+            memory_bytes: None,
+            threads: None,
+            crs: None,
+            ignore_crs: false,
+            name: None,
+            recursive: false,
+            strict: false,
+            g: FORMAT_G,
+            leaf_capacity: FORMAT_LEAF_CAPACITY,
+        }
+    }
+}

@@ -1,6 +1,6 @@
 //! Aligned cubes, their keys in the file, and boxes of lattice points.
 
-use super::{BITS, Key, LatticePoint, SortKey, morton};
+use super::{BITS, Key, LatticePoint, morton};
 
 /// An aligned cube: side `2^k` lattice steps, low corner a multiple of the side on every axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -209,6 +209,7 @@ impl LatticeBox {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::SortKey;
     use proptest::prelude::*;
 
     fn any_cube() -> impl Strategy<Value = Cube> {

@@ -210,7 +210,8 @@ mod tests {
             let missing = LatticePoint(std::array::from_fn(|axis| outermost(last, axis)));
             let far = |octant: u8| {
                 LatticePoint(std::array::from_fn(|axis| match outermost(octant, axis) {
-                    x if x == missing.0[axis] => x.abs_diff(3).min(4),
+                    0 if missing.0[axis] == 0 => 3,
+                    7 if missing.0[axis] == 7 => 4,
                     x => x,
                 }))
             };

@@ -6,17 +6,28 @@
 
 pub mod assemble;
 mod bound;
+mod insert;
+#[cfg(test)]
+mod laws;
+mod layers;
 #[doc(hidden)]
 pub mod naive;
+mod nodes;
 mod params;
 mod parts;
+mod remove;
 mod step;
 mod thin;
+mod tree;
 mod win;
 
 pub use bound::{Frontier, Metric, step_bound};
+pub use layers::{filtered, level};
+pub use nodes::{MemoryNodes, Node, Nodes, Row, TreePoint};
 pub use params::{Params, root_of};
 pub use parts::{LEAST_PART_POINTS, MOST_PARTS, MOST_REPEATED_POINTS, PartPlan, split};
+pub use remove::{Doomed, Matching, Requests};
 pub use step::Step;
 pub use thin::{DetailOrder, canonical_order, even_order};
+pub use tree::{MemoryTree, Tree};
 pub use win::{first_win, steps, wins};

@@ -3,8 +3,11 @@
 mod attribute;
 mod batch;
 mod column;
+mod crs;
+mod geokeys;
 mod provenance;
 mod record;
+mod wkt;
 
 pub use attribute::{Attribute, ScalarType, Scaling, canonical_name, same_name};
 pub use batch::{Batch, Positions};

@@ -1,0 +1,83 @@
+// Background and eye-dome lighting: a pixel gets darker the more its neighbours are nearer to the eye. Twin on the CPU:
+// `reference::shade`.
+//
+// The depth difference to a neighbour is measured in the sideways distance to it (a slope): in perspective through the
+// logarithm of the ratio of depths, which is the same at every distance, in orthographic directly. Neighbours without a
+// point don't count, so neither a lone point nor a silhouette against the background changes colour.
+
+@group(1) @binding(0) var colors: texture_2d<f32>;
+@group(1) @binding(1) var depths: texture_depth_2d;
+
+@vertex
+fn vertex(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+    // One triangle that covers the image.
+    let corner = vec2<f32>(f32(index & 1u), f32(index >> 1u)) * 4.0 - 1.0;
+    return vec4<f32>(corner, 0.0, 1.0);
+}
+
+fn past_front(depth: f32) -> f32 {
+    return frame.depth_scale * (1.0 / depth - 1.0);
+}
+
+// log(1 + x) for x >= 0, to f32 also where x is so small that 1 + x isn't.
+fn log_1p(x: f32) -> f32 {
+    if (x < 0.01) {
+        return x * (1.0 - x * (0.5 - x * 0.33333333));
+    }
+    return log(1.0 + x);
+}
+
+// How much nearer the neighbour is; 0 if it isn't.
+fn occlusion(own: f32, neighbor: vec2<i32>) -> f32 {
+    if (any(neighbor < vec2<i32>(0)) || any(neighbor >= vec2<i32>(frame.image_px))) {
+        return 0.0;
+    }
+    let depth = textureLoad(depths, neighbor, 0);
+    if (depth <= 0.0) {
+        return 0.0;
+    }
+    let other = past_front(depth);
+    let behind = max(own - other, 0.0);
+    if (frame.perspective == 1u) {
+        return log_1p(behind / (frame.front_depth + other));
+    }
+    return behind;
+}
+
+fn linear_from_srgb(c: vec3<f32>) -> vec3<f32> {
+    return select(pow((c + 0.055) / 1.055, vec3<f32>(2.4)), c / 12.92, c <= vec3<f32>(0.04045));
+}
+
+fn srgb_from_linear(c: vec3<f32>) -> vec3<f32> {
+    return select(1.055 * pow(c, vec3<f32>(1.0 / 2.4)) - 0.055, c * 12.92, c <= vec3<f32>(0.0031308));
+}
+
+// Rounded here, so that the target's own rounding has nothing left to decide.
+fn byte(c: vec4<f32>) -> vec4<f32> {
+    return floor(clamp(c, vec4<f32>(0.0), vec4<f32>(1.0)) * 255.0 + 0.5) / 255.0;
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let pixel = vec2<i32>(position.xy);
+    let depth = textureLoad(depths, pixel, 0);
+    if (depth <= 0.0) {
+        return byte(mix(frame.background_top, frame.background_bottom, position.y / frame.image_px.y));
+    }
+    let color = textureLoad(colors, pixel, 0).rgb;
+    if (frame.edl_scale <= 0.0) {
+        return vec4<f32>(color, 1.0);
+    }
+    let own = past_front(depth);
+    let s = frame.edl_straight_px;
+    let d = frame.edl_diagonal_px;
+    var sum = occlusion(own, pixel + vec2<i32>(s, 0)) + occlusion(own, pixel + vec2<i32>(-s, 0));
+    sum += occlusion(own, pixel + vec2<i32>(0, s)) + occlusion(own, pixel + vec2<i32>(0, -s));
+    sum += occlusion(own, pixel + vec2<i32>(d, d)) + occlusion(own, pixel + vec2<i32>(-d, d));
+    sum += occlusion(own, pixel + vec2<i32>(d, -d)) + occlusion(own, pixel + vec2<i32>(-d, -d));
+    if (sum <= 0.0) {
+        return vec4<f32>(color, 1.0);
+    }
+    let light = exp(-frame.edl_scale * sum / 8.0);
+    return byte(vec4<f32>(srgb_from_linear(linear_from_srgb(color) * light), 1.0));
+}

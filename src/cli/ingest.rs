@@ -1,0 +1,166 @@
+//! `esker ingest`: point files into a store.
+
+use super::progress::{Mode, Shown};
+use super::{Outcome, output, values};
+use crate::ingest::{IngestOptions, LatticeWish, Report, ingest};
+use crate::lattice::Lattice;
+use crate::points::Crs;
+use crate::store::Store;
+use anyhow::Context;
+use clap::Args;
+use std::path::PathBuf;
+
+/// Puts point files into a store, creating it if it is not there.
+///
+/// Reads LAS 1.0 to 1.4, LAZ, COPC and PLY. Every file is a scan; a folder means all point files in it. Files that the
+/// store has already are skipped, so an interrupted command is resumed by giving it again.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  esker ingest site.esker north.laz south.laz\n  \
+                  esker ingest site.esker scans/ --recursive --memory 4GiB\n  \
+                  esker ingest model.esker bunny.ply --quantum 0.0001\n  \
+                  esker ingest site.esker tile.las --crs EPSG:25832 --json")]
+pub(super) struct Arguments {
+    /// The store, a file that usually ends in .esker.
+    store: PathBuf,
+    /// Point files and folders.
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// Lattice step of a new store, in CRS units: one number, or one per axis (default: the finest scale of all inputs).
+    #[arg(long, value_name = "Q[,Q,Q]", value_parser = values::per_axis)]
+    quantum: Option<[f64; 3]>,
+    /// Offset of a new store's lattice, less than the quantum (default: where the inputs' own grids lie).
+    #[arg(long, value_name = "P[,P,P]", value_parser = values::per_axis, allow_hyphen_values = true)]
+    phase: Option<[f64; 3]>,
+    /// Take quantum and phase of a new store from this one, so that the two can be merged.
+    #[arg(long, value_name = "STORE", conflicts_with_all = ["quantum", "phase"])]
+    lattice: Option<PathBuf>,
+    /// Memory to use at most, such as 512MiB or 4GiB (default: a quarter of the machine's); the rest goes through a
+    /// temporary file beside the store.
+    #[arg(long, value_name = "SIZE", value_parser = values::size)]
+    memory: Option<u64>,
+    /// Threads (default: one per core).
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// The inputs' CRS, instead of what they say: EPSG:N or WKT.
+    #[arg(long, value_name = "WKT|EPSG:N")]
+    crs: Option<String>,
+    /// Take coordinates as they are though an input's CRS is not the site's.
+    #[arg(long)]
+    ignore_crs: bool,
+    /// The scan's name, for a single input (default: the file's name without its ending).
+    #[arg(long)]
+    name: Option<String>,
+    /// Look for point files in folders below, too.
+    #[arg(long)]
+    recursive: bool,
+    /// Truncated files are errors; rejected points end the command with exit code 3.
+    #[arg(long)]
+    strict: bool,
+    /// One JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+    /// How to show progress on stderr.
+    #[arg(long, value_enum, default_value_t = Mode::Auto)]
+    progress: Mode,
+}
+
+pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
+    let mut wish = LatticeWish { quantum: arguments.quantum, phase: arguments.phase };
+    if let Some(path) = &arguments.lattice {
+        let other = Store::open(path)?;
+        let lattice = other.snapshot()?.site().lattice.clone();
+        wish = LatticeWish {
+            quantum: Some(lattice.quantum_f64()),
+            phase: Some(lattice.phase().map(crate::lattice::Decimal::to_f64)),
+        };
+    }
+    let options = IngestOptions {
+        lattice: wish,
+        memory_bytes: arguments.memory,
+        threads: arguments.threads.map(usize::from),
+        crs: arguments.crs.as_deref().map(parse_crs).transpose()?,
+        ignore_crs: arguments.ignore_crs,
+        name: arguments.name,
+        recursive: arguments.recursive,
+        strict: arguments.strict,
+        ..IngestOptions::default()
+    };
+    let shown = Shown::new(arguments.progress);
+    let result = ingest(&arguments.store, &arguments.inputs, &options, &shown);
+    shown.clear();
+    let report = result?;
+    if arguments.json {
+        output::json(&serde_json::to_value(&report).context("the report as JSON")?)?;
+    } else {
+        print(&report)?;
+    }
+    let rejected = report.scans.iter().any(|s| s.rejected > 0);
+    Ok(if arguments.strict && rejected { Outcome::Rejected } else { Outcome::Done })
+}
+
+fn print(report: &Report) -> std::io::Result<()> {
+    for scan in &report.scans {
+        let error = match scan.max_error {
+            e if e > 0.0 => format!(", off by at most {e:.3e}"),
+            _ => String::new(),
+        };
+        let rejected = match scan.rejected {
+            0 => String::new(),
+            n => format!(", {} rejected", output::grouped(n)),
+        };
+        output::line(format_args!(
+            "{}: {} points stored{rejected}; positions {}{error}",
+            output::clean(&scan.name),
+            output::grouped(scan.stored),
+            scan.positions,
+        ))?;
+    }
+    for skipped in &report.skipped {
+        output::line(format_args!("{}: skipped, {}", output::clean(&skipped.path), skipped.reason))?;
+    }
+    if report.points > 0 {
+        output::line(format_args!(
+            "{} points in {:.1} s ({:.1} million a second), memory {}, temporary file {}",
+            output::grouped(report.points),
+            report.seconds,
+            report.points_per_second / 1e6,
+            output::bytes(report.peak_memory_bytes),
+            output::bytes(report.temp_bytes),
+        ))?;
+    }
+    Ok(())
+}
+
+fn parse_crs(text: &str) -> anyhow::Result<Crs> {
+    if let Some(code) = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")) {
+        let mut codes = code.split('+').map(|c| c.trim().parse::<u32>());
+        let horizontal = codes.next().and_then(Result::ok).with_context(|| format!("--crs '{text}' is no EPSG code"))?;
+        let vertical = codes.next().transpose().with_context(|| format!("--crs '{text}' is no EPSG code"))?;
+        return Ok(Crs { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Crs::default() });
+    }
+    let wkt = match std::fs::read_to_string(text) {
+        Ok(content) => content,
+        Err(_) => text.to_owned(),
+    };
+    if !wkt.contains('[') {
+        anyhow::bail!("--crs '{text}' is neither EPSG:N nor WKT nor a file that holds WKT");
+    }
+    Ok(Crs { wkt: Some(wkt.trim().to_owned()), ..Crs::default() })
+}
+
+/// The lattice in words.
+pub(super) fn describe(lattice: &Lattice) -> String {
+    let one = |values: [crate::lattice::Decimal; 3]| {
+        if values.iter().all(|v| *v == values[0]) {
+            values[0].to_string()
+        } else {
+            format!("{} x {} x {}", values[0], values[1], values[2])
+        }
+    };
+    let phase = lattice.phase();
+    if phase.iter().all(|p| *p == crate::lattice::Decimal::ZERO) {
+        format!("quantum {}", one(lattice.quantum()))
+    } else {
+        format!("quantum {}, phase {}", one(lattice.quantum()), one(phase))
+    }
+}

@@ -1,0 +1,116 @@
+//! Values of options: sizes, lists of numbers.
+
+/// `64MiB`, `2G`, `500000`: powers of 1024 with or without the `i`.
+pub(super) fn size(text: &str) -> Result<u64, String> {
+    let trimmed = text.trim();
+    let split = trimmed.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(trimmed.len());
+    let (number, unit) = trimmed.split_at(split);
+    let factor: f64 = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "k" | "kb" | "kib" => 1024.0,
+        "m" | "mb" | "mib" => 1024.0 * 1024.0,
+        "g" | "gb" | "gib" => 1024.0 * 1024.0 * 1024.0,
+        "t" | "tb" | "tib" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
+        other => return Err(format!("'{other}' is no unit; write a size such as 512MiB or 4GiB")),
+    };
+    let number: f64 = number.parse().map_err(|_| format!("'{text}' is no size; write one such as 512MiB"))?;
+    let bytes = number * factor;
+    if !(1.0..=1e18).contains(&bytes) {
+        return Err(format!("'{text}' is no size that can be used"));
+    }
+    Ok(bytes as u64)
+}
+
+/// Numbers separated by commas; `inf` and `-inf` are numbers, NaN is not.
+pub(super) fn numbers(text: &str) -> Result<Vec<f64>, String> {
+    text.split(',')
+        .map(|part| match part.trim().parse::<f64>() {
+            Ok(value) if !value.is_nan() => Ok(value),
+            _ => Err(format!("'{}' is no number", part.trim())),
+        })
+        .collect()
+}
+
+/// One number for all axes, or one per axis.
+pub(super) fn per_axis(text: &str) -> Result<[f64; 3], String> {
+    match numbers(text)?.as_slice() {
+        [one] => Ok([*one; 3]),
+        [x, y, z] => Ok([*x, *y, *z]),
+        other => Err(format!("{} numbers; give one, or three separated by commas", other.len())),
+    }
+}
+
+/// A positive, finite number.
+pub(super) fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err(format!("'{text}' is no positive number")),
+    }
+}
+
+/// A finite number that is not negative.
+pub(super) fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
+        _ => Err(format!("'{text}' is no number from 0 up")),
+    }
+}
+
+/// A count, with `k`, `M` or `G` for thousands, millions, thousand millions: `2M`.
+pub(super) fn count(text: &str) -> Result<u64, String> {
+    let trimmed = text.trim().replace('_', "");
+    let (number, factor) = match trimmed.chars().last() {
+        Some('k' | 'K') => (&trimmed[..trimmed.len() - 1], 1e3),
+        Some('m' | 'M') => (&trimmed[..trimmed.len() - 1], 1e6),
+        Some('g' | 'G') => (&trimmed[..trimmed.len() - 1], 1e9),
+        _ => (trimmed.as_str(), 1.0),
+    };
+    if factor == 1.0
+        && let Ok(exact) = number.parse::<u64>()
+    {
+        return Ok(exact);
+    }
+    match number.parse::<f64>() {
+        Ok(value) if (0.0..=1e15).contains(&(value * factor)) && (value * factor).fract() == 0.0 => {
+            Ok((value * factor) as u64)
+        }
+        _ => Err(format!("'{text}' is no count; write one such as 500000 or 2M")),
+    }
+}
+
+/// `WxH` in pixels.
+pub(super) fn pixels(text: &str) -> Result<[u32; 2], String> {
+    let parsed = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    match parsed {
+        Some([w, h]) if w > 0 && h > 0 => Ok([w, h]),
+        _ => Err(format!("'{text}' is no size in pixels; write one such as 1280x720")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_units() {
+        assert_eq!(size("64MiB"), Ok(64 << 20));
+        assert_eq!(size("1.5g"), Ok(3 << 29));
+        assert_eq!(size("1000"), Ok(1000));
+        assert!(size("0").is_err() && size("-1M").is_err() && size("1X").is_err() && size("").is_err());
+    }
+
+    #[test]
+    fn numbers_are_checked() {
+        assert_eq!(numbers("-1, 2.5,inf"), Ok(vec![-1.0, 2.5, f64::INFINITY]));
+        assert!(numbers("1,,2").is_err() && numbers("nan").is_err());
+        assert!(positive("0").is_err() && positive("inf").is_err() && positive("nan").is_err());
+        assert!(not_negative("0").is_ok() && not_negative("-0.1").is_err());
+        assert_eq!(count("2M"), Ok(2_000_000));
+        assert_eq!(count("1.5k"), Ok(1500));
+        assert!(count("1.5").is_err() && count("-1").is_err());
+        assert_eq!(pixels("1280x720"), Ok([1280, 720]));
+        assert!(pixels("0x10").is_err() && pixels("10").is_err());
+        assert_eq!(per_axis("0.01"), Ok([0.01; 3]));
+        assert!(per_axis("1,2").is_err());
+    }
+}

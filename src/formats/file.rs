@@ -1,0 +1,122 @@
+//! A file that is read by position: no shared cursor, so that threads read pieces at once.
+
+use super::FormatError;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// An open file and its size.
+#[derive(Debug)]
+pub(super) struct SourceFile {
+    path: PathBuf,
+    file: File,
+    bytes: u64,
+}
+
+impl SourceFile {
+    /// Opens `path` for reading.
+    pub fn open(path: &Path) -> Result<Self, FormatError> {
+        let failed = |source| FormatError::Io { path: path.to_owned(), action: "opening", source };
+        let file = File::open(path).map_err(failed)?;
+        let bytes = file.metadata().map_err(failed)?.len();
+        Ok(Self { path: path.to_owned(), file, bytes })
+    }
+
+    /// Its path, as it was given.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Its size when it was opened.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Fills `buffer` from `offset` on as far as the file goes; gives the number of bytes read.
+    pub fn read_up_to(&self, buffer: &mut [u8], offset: u64) -> Result<usize, FormatError> {
+        let mut done = 0;
+        while done < buffer.len() {
+            match read_at(&self.file, &mut buffer[done..], offset.saturating_add(done as u64)) {
+                Ok(0) => break,
+                Ok(n) => done += n,
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+                Err(source) => {
+                    return Err(FormatError::Io { path: self.path.clone(), action: "reading", source });
+                }
+            }
+        }
+        Ok(done)
+    }
+
+    /// The `len` bytes at `offset`, or as many as the file has; never allocates more than it has.
+    pub fn read_vec(&self, offset: u64, len: u64) -> Result<Vec<u8>, FormatError> {
+        let len = len.min(self.bytes.saturating_sub(offset));
+        let mut buffer = vec![0; usize::try_from(len).unwrap_or(usize::MAX)];
+        let read = self.read_up_to(&mut buffer, offset)?;
+        buffer.truncate(read);
+        Ok(buffer)
+    }
+
+    /// [`FormatError::Malformed`] at `offset` of this file.
+    pub fn malformed(&self, offset: u64, expected: impl Into<String>, found: impl Into<String>) -> FormatError {
+        FormatError::Malformed { path: self.path.clone(), offset, expected: expected.into(), found: found.into() }
+    }
+
+    /// [`FormatError::Unsupported`] for this file; `remedy` is empty or says what to do.
+    pub fn unsupported(&self, what: impl Into<String>, remedy: &str) -> FormatError {
+        FormatError::unsupported(&self.path, what, remedy)
+    }
+
+    /// A sequential reader of the bytes `offset .. end`.
+    pub fn reader(&self, offset: u64, end: u64) -> Window<'_> {
+        Window { file: self, position: offset, end: end.min(self.bytes) }
+    }
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+    std::os::unix::fs::FileExt::read_at(file, buffer, offset)
+}
+
+#[cfg(windows)]
+fn read_at(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+    std::os::windows::fs::FileExt::seek_read(file, buffer, offset)
+}
+
+/// Part of a file as [`io::Read`], with a position of its own.
+#[derive(Debug)]
+pub(super) struct Window<'a> {
+    file: &'a SourceFile,
+    position: u64,
+    end: u64,
+}
+
+impl io::Read for Window<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let room = usize::try_from(self.end.saturating_sub(self.position)).unwrap_or(usize::MAX);
+        let len = buffer.len().min(room);
+        let read = read_at(&self.file.file, &mut buffer[..len], self.position)?;
+        self.position += read as u64;
+        Ok(read)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Read;
+
+    #[test]
+    fn reads_stop_at_the_end_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("f");
+        std::fs::write(&path, b"0123456789").unwrap();
+        let file = SourceFile::open(&path).unwrap();
+        assert_eq!(file.read_vec(8, u64::MAX).unwrap(), b"89");
+        assert_eq!(file.read_vec(11, 5).unwrap(), b"");
+        assert_eq!(file.read_vec(u64::MAX, 5).unwrap(), b"");
+        let mut text = String::new();
+        file.reader(2, 5).read_to_string(&mut text).unwrap();
+        assert_eq!(text, "234");
+    }
+}

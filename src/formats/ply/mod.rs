@@ -1,0 +1,9 @@
+//! PLY files in: the vertex element's scalars, in all three encodings.
+
+mod ascii;
+mod binary;
+mod header;
+mod layout;
+mod source;
+
+pub use source::PlySource;

@@ -1,0 +1,186 @@
+//! CSV out: a line of names, then a line per point.
+//!
+//! X, Y and Z are the exact decimals that the coordinates are. An attribute with a scaling is written as its real value
+//! (`raw * scale + offset`, in decimal where the raw value is an integer), one that is its no-data value as nothing. All
+//! others are written as they are stored, floats as the shortest text that reads back as the same number.
+
+use super::destination::Destination;
+use super::number::{Exact, push_f32, push_f64, push_signed, push_unsigned};
+use super::{OutputPlan, PointWriter, check_batch};
+use crate::formats::FormatError;
+use crate::points::{Attribute, Batch, Column, Scaling};
+use std::fs::File;
+use std::io::{Stdout, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Bytes of text that are collected before they are written.
+const BUFFER_BYTES: usize = 1 << 20;
+
+/// Where the text goes.
+pub(super) enum CsvSink {
+    /// To a file that gets its name at the end.
+    File(File, Destination),
+    /// Right to the standard output: nothing at the front of a CSV file has to wait for its end.
+    Standard(Stdout),
+}
+
+impl CsvSink {
+    /// What messages call it.
+    fn shown(&self) -> &Path {
+        match self {
+            Self::File(_, destination) => destination.shown(),
+            Self::Standard(_) => Path::new("standard output"),
+        }
+    }
+
+    fn write(&mut self, text: &[u8]) -> Result<(), FormatError> {
+        match self {
+            Self::File(file, destination) => file.write_all(text).map_err(|e| destination.error("writing", e)),
+            Self::Standard(out) => {
+                let written = out.write_all(text).and_then(|()| out.flush());
+                written.map_err(|source| FormatError::Io { path: "standard output".into(), action: "writing", source })
+            }
+        }
+    }
+}
+
+/// Writes a CSV file.
+pub(super) struct CsvWriter {
+    axes: [Exact; 3],
+    attributes: Arc<[Attribute]>,
+    /// How each scaled attribute is printed.
+    scaled: Vec<Option<Scaled>>,
+    text: Vec<u8>,
+    sink: CsvSink,
+}
+
+/// How a scaled attribute is printed.
+#[derive(Clone, Copy)]
+enum Scaled {
+    Exact(Exact),
+    Float(Scaling),
+}
+
+impl CsvWriter {
+    /// Begins a file with its line of names.
+    pub fn create(sink: CsvSink, plan: &OutputPlan) -> Result<Self, FormatError> {
+        let axis = |axis| {
+            Exact::of_axis(&plan.lattice, axis).ok_or_else(|| FormatError::Unwritable {
+                path: sink.shown().into(),
+                reason: "the lattice's quantum and phase have too many digits".into(),
+            })
+        };
+        let axes = [axis(0)?, axis(1)?, axis(2)?];
+        let mut text = b"X,Y,Z".to_vec();
+        for attribute in plan.attributes.iter() {
+            text.push(b',');
+            push_name(&mut text, &attribute.name);
+        }
+        text.push(b'\n');
+        let scaled = plan.attributes.iter().map(|a| {
+            let scaling = a.scaling?;
+            Some(Exact::of_scaling(scaling).map_or(Scaled::Float(scaling), Scaled::Exact))
+        });
+        Ok(Self { axes, attributes: plan.attributes.clone(), scaled: scaled.collect(), text, sink })
+    }
+
+    fn push_value(&mut self, column: usize, values: &Column, i: usize) {
+        let attribute = &self.attributes[column];
+        let size = attribute.ty.size();
+        if attribute.no_data.is_some_and(|no_data| no_data[..size] == values.raw(i)[..size]) {
+            return;
+        }
+        let out = &mut self.text;
+        match (self.scaled[column], integer(values, i)) {
+            (Some(Scaled::Exact(exact)), Some(n)) => exact.push(out, n),
+            (Some(Scaled::Float(s)), _) => push_f64(out, values.as_f64(i) * s.scale + s.offset),
+            (Some(Scaled::Exact(_)), None) => {
+                if let Some(s) = attribute.scaling {
+                    push_f64(out, values.as_f64(i) * s.scale + s.offset);
+                }
+            }
+            (None, _) => match values {
+                Column::U8(v) => push_unsigned(out, v[i].into()),
+                Column::U16(v) => push_unsigned(out, v[i].into()),
+                Column::U32(v) => push_unsigned(out, v[i].into()),
+                Column::U64(v) => push_unsigned(out, v[i]),
+                Column::I8(v) => push_signed(out, v[i].into()),
+                Column::I16(v) => push_signed(out, v[i].into()),
+                Column::I32(v) => push_signed(out, v[i].into()),
+                Column::I64(v) => push_signed(out, v[i]),
+                Column::F32(v) => push_f32(out, v[i]),
+                Column::F64(v) => push_f64(out, v[i]),
+            },
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), FormatError> {
+        self.sink.write(&self.text)?;
+        self.text.clear();
+        Ok(())
+    }
+}
+
+/// Value `i` of a column of integers.
+fn integer(values: &Column, i: usize) -> Option<i128> {
+    Some(match values {
+        Column::U8(v) => v[i].into(),
+        Column::U16(v) => v[i].into(),
+        Column::U32(v) => v[i].into(),
+        Column::U64(v) => v[i].into(),
+        Column::I8(v) => v[i].into(),
+        Column::I16(v) => v[i].into(),
+        Column::I32(v) => v[i].into(),
+        Column::I64(v) => v[i].into(),
+        Column::F32(_) | Column::F64(_) => return None,
+    })
+}
+
+/// A name, in quotes if it needs them (RFC 4180).
+fn push_name(text: &mut Vec<u8>, name: &str) {
+    if name.contains([',', '"', '\n', '\r']) {
+        text.push(b'"');
+        text.extend_from_slice(name.replace('"', "\"\"").as_bytes());
+        text.push(b'"');
+    } else {
+        text.extend_from_slice(name.as_bytes());
+    }
+}
+
+impl PointWriter for CsvWriter {
+    fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
+        check_batch(batch, &self.attributes, self.sink.shown())?;
+        let positions = [&batch.positions.x, &batch.positions.y, &batch.positions.z];
+        for i in 0..batch.len() {
+            for axis in 0..3 {
+                if axis > 0 {
+                    self.text.push(b',');
+                }
+                self.axes[axis].push_index(&mut self.text, positions[axis][i]);
+            }
+            for (column, values) in batch.columns.iter().enumerate() {
+                self.text.push(b',');
+                self.push_value(column, values, i);
+            }
+            self.text.push(b'\n');
+            if self.text.len() >= BUFFER_BYTES {
+                self.flush()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<Vec<String>, FormatError> {
+        self.flush()?;
+        if let CsvSink::File(file, destination) = self.sink {
+            destination.finish(file)?;
+        }
+        let mut notes = Vec::new();
+        let scaled: Vec<_> = self.attributes.iter().filter(|a| a.scaling.is_some()).map(|a| a.name.as_str()).collect();
+        if !scaled.is_empty() {
+            notes.push(format!("written as real values, scaled: {}", scaled.join(", ")));
+        }
+        Ok(notes)
+    }
+}

@@ -1,0 +1,222 @@
+//! Where a file is written until it is complete: under a temporary name in its own folder, or for the standard output
+//! in the system's folder for temporary files.
+
+use crate::formats::FormatError;
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::io::{self, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Temporary files that exist now, for [`remove_unfinished`].
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Deletes the temporary files of all outputs that are not finished: for a program that ends without dropping them,
+/// on Ctrl-C say. Their writers then fail to finish.
+pub fn remove_unfinished() {
+    for path in unfinished().drain(..) {
+        // The program is ending: there is nobody to tell, and the file may be gone already.
+        let _ = fs::remove_file(path);
+    }
+}
+
+/// A file without its final name. Dropped before [`Destination::finish`], it is deleted.
+#[derive(Debug)]
+pub(super) struct Destination {
+    /// What messages call it.
+    shown: PathBuf,
+    /// Where it will be; `None` for the standard output.
+    path: Option<PathBuf>,
+    temporary: PathBuf,
+    force: bool,
+}
+
+impl Destination {
+    /// A new, empty file that will be `path`, or replace it if `force` is set.
+    pub fn file(path: &Path, force: bool) -> Result<(Self, File), FormatError> {
+        let refuse = |reason: &str| FormatError::Unwritable { path: path.into(), reason: reason.into() };
+        if path.file_name().is_none() {
+            return Err(refuse("is a directory; give a file name"));
+        }
+        // Through a link, so that the link stays one.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.into());
+        match fs::metadata(&target) {
+            Ok(there) if there.is_dir() => return Err(refuse("is a directory; give a file name")),
+            Ok(there) if !there.is_file() => {
+                return Err(refuse("is not a regular file; `-o -` writes to the standard output"));
+            }
+            Ok(_) if !force => return Err(refuse("exists already; use --force to replace it")),
+            _ => {}
+        }
+        let folder = match target.parent() {
+            Some(folder) if folder != OsStr::new("") => folder.to_path_buf(),
+            _ => PathBuf::from("."),
+        };
+        match fs::metadata(&folder) {
+            Ok(there) if !there.is_dir() => return Err(refuse("its folder is not a folder")),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {
+                return Err(refuse(&format!("the folder {} does not exist; create it first", folder.display())));
+            }
+            _ => {}
+        }
+        let (temporary, file) = temporary_file(&folder, path)?;
+        Ok((Self { shown: path.into(), path: Some(target), temporary, force }, file))
+    }
+
+    /// A new, empty file that will be copied to the standard output.
+    pub fn standard_output() -> Result<(Self, File), FormatError> {
+        let shown = PathBuf::from("standard output");
+        let (temporary, file) = temporary_file(&std::env::temp_dir(), &shown)?;
+        Ok((Self { shown, path: None, temporary, force: false }, file))
+    }
+
+    /// What messages call it.
+    pub fn shown(&self) -> &Path {
+        &self.shown
+    }
+
+    /// The error for a failed `action`.
+    pub fn error(&self, action: &'static str, source: io::Error) -> FormatError {
+        FormatError::Io { path: self.shown.clone(), action, source }
+    }
+
+    /// The error for points that this form cannot hold.
+    pub fn unwritable(&self, reason: impl Into<String>) -> FormatError {
+        FormatError::Unwritable { path: self.shown.clone(), reason: reason.into() }
+    }
+
+    /// Gives the complete `file` its name, or copies it to the standard output. Contents are left to the system's cache:
+    /// a power cut right after may lose them.
+    pub fn finish(self, mut file: File) -> Result<(), FormatError> {
+        let Some(path) = &self.path else {
+            file.seek(SeekFrom::Start(0)).map_err(|e| self.error("reading back", e))?;
+            let mut out = io::stdout().lock();
+            let copied = io::copy(&mut file, &mut out).and_then(|_| io::Write::flush(&mut out));
+            return copied.map_err(|e| self.error("writing", e));
+        };
+        // Windows renames no open file.
+        drop(file);
+        if !self.force && fs::symlink_metadata(path).is_ok() {
+            return Err(self.unwritable("was created by someone else meanwhile; use --force to replace it"));
+        }
+        fs::rename(&self.temporary, path).map_err(|e| self.error("renaming the complete file", e))
+    }
+}
+
+impl Drop for Destination {
+    fn drop(&mut self) {
+        // After `finish` there is nothing under this name; otherwise the file is unfinished and nobody's.
+        let _ = fs::remove_file(&self.temporary);
+        unfinished().retain(|p| *p != self.temporary);
+    }
+}
+
+/// A new file in `folder` that no other process has.
+fn temporary_file(folder: &Path, shown: &Path) -> Result<(PathBuf, File), FormatError> {
+    static NUMBER: AtomicU64 = AtomicU64::new(0);
+    loop {
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let path = folder.join(format!(".esker-{}-{number}.tmp", std::process::id()));
+        // Registered first, so that there is no moment in which it exists unregistered.
+        unfinished().push(path.clone());
+        let opened = File::options().read(true).write(true).create_new(true).open(&path);
+        match opened {
+            Ok(file) => return Ok((path, file)),
+            Err(source) => {
+                unfinished().retain(|p| *p != path);
+                // A process of the same number, ended hard, may have left one.
+                if source.kind() != io::ErrorKind::AlreadyExists {
+                    return Err(FormatError::Io { path: shown.into(), action: "creating", source });
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    fn reason(result: Result<(Destination, File), FormatError>) -> String {
+        result.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_file_appears_when_it_is_finished_and_not_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.las");
+        let (destination, mut file) = Destination::file(&path, false).unwrap();
+        file.write_all(b"whole").unwrap();
+        assert!(!path.exists());
+        destination.finish(file).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"whole");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn an_unfinished_file_leaves_nothing_and_the_old_one_untouched() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.las");
+        fs::write(&path, b"old").unwrap();
+        let (destination, mut file) = Destination::file(&path, true).unwrap();
+        file.write_all(b"half").unwrap();
+        drop((destination, file));
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn an_existing_file_needs_force() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.las");
+        fs::write(&path, b"old").unwrap();
+        assert!(reason(Destination::file(&path, false)).contains("--force"));
+        let (destination, mut file) = Destination::file(&path, true).unwrap();
+        file.write_all(b"new").unwrap();
+        destination.finish(file).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+    }
+
+    #[test]
+    fn a_file_that_appears_meanwhile_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.las");
+        let (destination, file) = Destination::file(&path, false).unwrap();
+        fs::write(&path, b"theirs").unwrap();
+        assert!(destination.finish(file).unwrap_err().to_string().contains("--force"));
+        assert_eq!(fs::read(&path).unwrap(), b"theirs");
+    }
+
+    #[test]
+    fn places_that_hold_no_file_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(reason(Destination::file(folder.path(), true)).contains("is a directory"));
+        assert!(reason(Destination::file(Path::new("/"), true)).contains("is a directory"));
+        assert!(reason(Destination::file(&folder.path().join("no/a.las"), true)).contains("does not exist"));
+        let file = folder.path().join("file");
+        fs::write(&file, b"").unwrap();
+        assert!(Destination::file(&file.join("a.las"), true).is_err());
+        #[cfg(unix)]
+        assert!(reason(Destination::file(Path::new("/dev/null"), true)).contains("not a regular file"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_stays_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let (real, link) = (folder.path().join("real"), folder.path().join("link"));
+        fs::write(&real, b"old").unwrap();
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        let (destination, mut file) = Destination::file(&link, true).unwrap();
+        file.write_all(b"new").unwrap();
+        destination.finish(file).unwrap();
+        assert_eq!(fs::read(&real).unwrap(), b"new");
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    }
+}

@@ -1,0 +1,188 @@
+//! From columns to rows: every attribute is put at its place in fixed-size records, column by column.
+
+use crate::points::Column;
+use std::ops::Range;
+
+/// How the values of a column become bytes of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Put {
+    /// Little-endian, as they are.
+    Whole,
+    /// A `u8`, shifted into a byte that others share.
+    Bits {
+        /// Left shift.
+        shift: u8,
+        /// The values that fit.
+        mask: u8,
+    },
+    /// An `i8` of degrees, added to an `i16` in steps of 0.006 degrees: the nearest one.
+    Degrees,
+    /// A `u8` colour, added to a `u16` times 257.
+    Color,
+}
+
+/// A column's place in a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Slot {
+    /// Which column of the batch.
+    pub column: usize,
+    /// First byte, from the start of the record.
+    pub offset: usize,
+    /// How.
+    pub put: Put,
+}
+
+/// A value that its place cannot hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TooLarge {
+    /// The value.
+    pub value: u8,
+    /// The largest that fits.
+    pub largest: u8,
+}
+
+/// Puts values `range` of `column` into `rows`, of `stride` bytes each and zero where nothing has been put yet.
+///
+/// # Panics
+///
+/// If the column is too short, its type does not fit `put`, or the slot reaches beyond the rows: mistakes of a plan.
+pub(super) fn put(
+    slot: Slot,
+    column: &Column,
+    range: Range<usize>,
+    rows: &mut [u8],
+    stride: usize,
+) -> Result<(), TooLarge> {
+    let at = slot.offset;
+    macro_rules! whole {
+        ($values:expr) => {
+            for (row, value) in rows.chunks_exact_mut(stride).zip(&$values[range]) {
+                let bytes = value.to_le_bytes();
+                row[at..at + bytes.len()].copy_from_slice(&bytes);
+            }
+        };
+    }
+    match (slot.put, column) {
+        (Put::Bits { shift, mask }, Column::U8(values)) => {
+            let values = &values[range];
+            let mut all = 0;
+            for (row, value) in rows.chunks_exact_mut(stride).zip(values) {
+                all |= value;
+                row[at] |= (value & mask) << shift;
+            }
+            if all & !mask != 0 {
+                let value = values.iter().copied().find(|v| v & !mask != 0).unwrap_or(all);
+                return Err(TooLarge { value, largest: mask });
+            }
+        }
+        (Put::Degrees, Column::I8(values)) => {
+            for (row, &degrees) in rows.chunks_exact_mut(stride).zip(&values[range]) {
+                let steps = steps_from_degrees(degrees);
+                add(&mut row[at..at + 2], steps.cast_unsigned());
+            }
+        }
+        (Put::Color, Column::U8(values)) => {
+            for (row, &value) in rows.chunks_exact_mut(stride).zip(&values[range]) {
+                add(&mut row[at..at + 2], u16::from(value) * 257);
+            }
+        }
+        (Put::Whole, Column::U8(v)) => whole!(v),
+        (Put::Whole, Column::I8(v)) => whole!(v),
+        (Put::Whole, Column::U16(v)) => whole!(v),
+        (Put::Whole, Column::I16(v)) => whole!(v),
+        (Put::Whole, Column::U32(v)) => whole!(v),
+        (Put::Whole, Column::I32(v)) => whole!(v),
+        (Put::Whole, Column::U64(v)) => whole!(v),
+        (Put::Whole, Column::I64(v)) => whole!(v),
+        (Put::Whole, Column::F32(v)) => whole!(v),
+        (Put::Whole, Column::F64(v)) => whole!(v),
+        (put, column) => panic!("{put:?} of a column of {}", column.ty().word()),
+    }
+    Ok(())
+}
+
+/// One of two columns has a value at each point, the other zero, where scans of two kinds are merged.
+fn add(bytes: &mut [u8], value: u16) {
+    let there = u16::from_le_bytes([bytes[0], bytes[1]]);
+    bytes.copy_from_slice(&there.wrapping_add(value).to_le_bytes());
+}
+
+/// The nearest multiple of 0.006 degrees, in such steps.
+fn steps_from_degrees(degrees: i8) -> i16 {
+    // A degree is 1000/6 steps: add half a step away from zero, then cut.
+    let sixths = 1000 * i32::from(degrees) + 3 * i32::from(degrees.signum());
+    (sixths / 6) as i16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::points::ScalarType;
+    use proptest::prelude::*;
+
+    #[test]
+    fn degrees_become_the_nearest_steps() {
+        for degrees in i8::MIN..=i8::MAX {
+            assert_eq!(steps_from_degrees(degrees), (f64::from(degrees) / 0.006).round() as i16, "{degrees}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn rows_hold_the_bytes_of_each_value(
+            bytes in prop::collection::vec(any::<u8>(), 8 * 40),
+            stride in 8_usize..20,
+            at in 0_usize..12,
+        ) {
+            prop_assume!(at + 8 <= stride);
+            for ty in ScalarType::ALL {
+                let mut column = Column::with_capacity(ty, 40);
+                for b in bytes.chunks_exact(8) {
+                    match &mut column {
+                        Column::U8(v) => v.push(b[0]),
+                        Column::I8(v) => v.push(b[0] as i8),
+                        Column::U16(v) => v.push(u16::from_le_bytes([b[0], b[1]])),
+                        Column::I16(v) => v.push(i16::from_le_bytes([b[0], b[1]])),
+                        Column::U32(v) => v.push(u32::from_le_bytes(b[..4].try_into().unwrap())),
+                        Column::I32(v) => v.push(i32::from_le_bytes(b[..4].try_into().unwrap())),
+                        Column::U64(v) => v.push(u64::from_le_bytes(b.try_into().unwrap())),
+                        Column::I64(v) => v.push(i64::from_le_bytes(b.try_into().unwrap())),
+                        Column::F32(v) => v.push(f32::from_le_bytes(b[..4].try_into().unwrap())),
+                        Column::F64(v) => v.push(f64::from_le_bytes(b.try_into().unwrap())),
+                    }
+                }
+                let mut rows = vec![0; stride * 20];
+                let slot = Slot { column: 0, offset: at, put: Put::Whole };
+                put(slot, &column, 10..30, &mut rows, stride).unwrap();
+                for (i, row) in rows.chunks_exact(stride).enumerate() {
+                    prop_assert_eq!(&row[at..at + ty.size()], &column.raw(10 + i)[..ty.size()]);
+                    prop_assert!(row[..at].iter().chain(&row[at + ty.size()..]).all(|&b| b == 0));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bits_share_a_byte_and_never_wrap() {
+        let mut rows = [0; 3];
+        let slot = |shift, mask| Slot { column: 0, offset: 0, put: Put::Bits { shift, mask } };
+        put(slot(0, 15), &Column::U8(vec![1, 15, 3]), 0..3, &mut rows, 1).unwrap();
+        put(slot(4, 7), &Column::U8(vec![7, 0, 2]), 0..3, &mut rows, 1).unwrap();
+        assert_eq!(rows, [0x71, 0x0F, 0x23]);
+        let refused = put(slot(0, 15), &Column::U8(vec![1, 200, 3]), 0..3, &mut rows, 1);
+        assert_eq!(refused, Err(TooLarge { value: 200, largest: 15 }));
+    }
+
+    #[test]
+    fn merged_kinds_of_a_field_add_up_to_the_one_that_is_there() {
+        let slot = |put| Slot { column: 0, offset: 0, put };
+        let mut rows = [0; 4];
+        put(slot(Put::Whole), &Column::I16(vec![-1000, 0]), 0..2, &mut rows, 2).unwrap();
+        put(slot(Put::Degrees), &Column::I8(vec![0, -9]), 0..2, &mut rows, 2).unwrap();
+        assert_eq!(rows, [0x18, 0xFC, 0x24, 0xFA]);
+        let mut rows = [0; 4];
+        put(slot(Put::Color), &Column::U8(vec![0, 200]), 0..2, &mut rows, 2).unwrap();
+        put(slot(Put::Color), &Column::U8(vec![255, 0]), 0..2, &mut rows, 2).unwrap();
+        assert_eq!(rows, [0xFF, 0xFF, 200, 200]);
+    }
+}

@@ -1,0 +1,267 @@
+//! From buckets to encoded nodes: jobs run on all threads, in key order as far as possible, and what they leave for
+//! coarser nodes is joined as soon as its turn comes.
+
+use super::IngestError;
+use super::gather::{ScanColumns, Scratch, gather};
+use super::loaded::{Loaded, Payloads, load};
+use super::partition::Bucket;
+use super::progress::Progress;
+use super::rows::RowKey;
+use super::spill::Spill;
+use crate::lattice::Cube;
+use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
+use crate::octree::{Params, first_win, wins};
+use crate::lattice::SortKey;
+use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, ScanTable, encode_node};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+/// What does not change during a build.
+pub(super) struct Plan<'a> {
+    pub params: Params,
+    pub root: Cube,
+    pub scans: &'a [ScanColumns<'a>],
+    pub table: &'a ScanTable,
+    pub ids: &'a ChunkIds,
+    pub spill: Option<&'a Spill>,
+    /// Buckets with more rows than this are worked through cube by cube.
+    pub most_rows: u64,
+    pub threads: usize,
+    pub progress: &'a dyn Progress,
+    /// Takes finished nodes, from any thread.
+    pub sink: &'a (dyn Fn(EncodedNode) -> Result<(), IngestError> + Sync),
+}
+
+/// A cube's worth of work.
+struct Job {
+    cube: Cube,
+    rows: u64,
+    bucket: usize,
+}
+
+/// A point on its way to a coarser node.
+type Held = (Arc<Payloads>, u32);
+
+/// Joins what jobs leave, in job order.
+struct Joiner {
+    assembler: Option<Assembler<Held>>,
+    waiting: BTreeMap<usize, Subtree<Held>>,
+    next: usize,
+}
+
+/// Builds the tree of all rows in `buckets` (in key order) and gives every node to the sink.
+pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<(), IngestError> {
+    let jobs = jobs::<K>(plan, &buckets)?;
+    // How many jobs still need each bucket: the last one takes its rows away.
+    let needed: Vec<AtomicUsize> = buckets.iter().map(|_| AtomicUsize::new(0)).collect();
+    for job in &jobs {
+        needed[job.bucket].fetch_add(1, Ordering::Relaxed);
+    }
+    let buckets: Vec<Mutex<Option<Arc<Bucket>>>> = buckets.into_iter().map(|b| Mutex::new(Some(Arc::new(b)))).collect();
+    let joiner = Mutex::new(Joiner {
+        assembler: Some(Assembler::new(plan.root, plan.params)),
+        waiting: BTreeMap::new(),
+        next: 0,
+    });
+    let next_job = AtomicUsize::new(0);
+    let failed = AtomicBool::new(false);
+    let first_error = Mutex::new(None);
+    let work = || {
+        let mut worker = Worker::new(plan);
+        loop {
+            let number = next_job.fetch_add(1, Ordering::Relaxed);
+            let Some(job) = jobs.get(number) else { return Ok(()) };
+            if failed.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+            if plan.progress.cancelled() {
+                return Err(IngestError::Interrupted);
+            }
+            let last = needed[job.bucket].fetch_sub(1, Ordering::Relaxed) == 1;
+            let bucket = {
+                let mut place = buckets[job.bucket].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                if last { place.take() } else { place.clone() }
+            };
+            let bucket = bucket.ok_or_else(|| IngestError::Internal("a bucket was taken twice".into()))?;
+            let previous = number.checked_sub(1).map(|i| jobs[i].cube);
+            let left = worker.run::<K>(job, previous, bucket)?;
+            plan.progress.advance(job.rows);
+            if let Some(subtree) = left {
+                let ready = advance(&joiner, number, subtree);
+                worker.emit_owned(ready)?;
+            }
+        }
+    };
+    rayon::scope(|scope| {
+        for _ in 0..plan.threads {
+            scope.spawn(|_| {
+                if let Err(error) = work() {
+                    failed.store(true, Ordering::Relaxed);
+                    first_error.lock().unwrap_or_else(std::sync::PoisonError::into_inner).get_or_insert(error);
+                }
+            });
+        }
+    });
+    if let Some(error) = first_error.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
+        return Err(error);
+    }
+    let mut joiner = joiner.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut rest = Vec::new();
+    if let Some(assembler) = joiner.assembler.take() {
+        assembler.finish(&mut |node| rest.push(node));
+    }
+    Worker::new(plan).emit_owned(rest)
+}
+
+/// Hands over what job `number` left; returns the nodes that became certain by it.
+fn advance(joiner: &Mutex<Joiner>, number: usize, subtree: Subtree<Held>) -> Vec<OwnedNode<Held>> {
+    let mut ready = Vec::new();
+    let mut joiner = joiner.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    joiner.waiting.insert(number, subtree);
+    let Joiner { assembler, waiting, next } = &mut *joiner;
+    if let Some(assembler) = assembler {
+        while let Some(subtree) = waiting.remove(next) {
+            *next += 1;
+            assembler.push(subtree, &mut |node| ready.push(node));
+        }
+    }
+    ready
+}
+
+/// The jobs, in key order: buckets, and the cubes of buckets that are too large for one go.
+fn jobs<K: RowKey>(plan: &Plan<'_>, buckets: &[Bucket]) -> Result<Vec<Job>, IngestError> {
+    let mut jobs = Vec::new();
+    for (number, bucket) in buckets.iter().enumerate() {
+        // A bucket may be larger than the root; then it is the only one.
+        let cube = if plan.root.contains_cube(bucket.cube) { bucket.cube } else { plan.root };
+        split::<K>(plan, bucket, number, cube, bucket.rows, &mut jobs)?;
+    }
+    Ok(jobs)
+}
+
+fn split<K: RowKey>(
+    plan: &Plan<'_>,
+    bucket: &Bucket,
+    number: usize,
+    cube: Cube,
+    rows: u64,
+    jobs: &mut Vec<Job>,
+) -> Result<(), IngestError> {
+    if rows <= plan.most_rows || cube.k() <= plan.params.g {
+        if rows > 0 {
+            jobs.push(Job { cube, rows, bucket: number });
+        }
+        return Ok(());
+    }
+    if plan.progress.cancelled() {
+        return Err(IngestError::Interrupted);
+    }
+    let mut counts = [0_u64; 8];
+    let digit = cube.k() - 1;
+    let (first, last) = (cube.first_key(), cube.last_key());
+    super::loaded::for_each_row::<K>(bucket, plan.scans, plan.spill, |key, _| {
+        if (first..=last).contains(&key.full(bucket.cube)) {
+            counts[usize::from(key.digit(digit))] += 1;
+        }
+    })?;
+    for (octant, rows) in cube.octants_in_key_order().into_iter().zip(counts) {
+        if let Some(child) = cube.child(octant) {
+            split::<K>(plan, bucket, number, child, rows, jobs)?;
+        }
+    }
+    Ok(())
+}
+
+/// One thread's buffers.
+struct Worker<'a> {
+    plan: &'a Plan<'a>,
+    encode: EncodeScratch,
+    gather: Scratch,
+}
+
+impl<'a> Worker<'a> {
+    fn new(plan: &'a Plan<'a>) -> Self {
+        Self { plan, encode: EncodeScratch::default(), gather: Scratch::default() }
+    }
+
+    /// Builds the nodes of a job; returns what it leaves, or nothing if the job was the whole tree.
+    fn run<K: RowKey>(
+        &mut self,
+        job: &Job,
+        previous: Option<Cube>,
+        bucket: Arc<Bucket>,
+    ) -> Result<Option<Subtree<Held>>, IngestError> {
+        let plan = self.plan;
+        let bucket_cube = bucket.cube;
+        let Loaded { keys, order, payloads } = load::<K>(bucket, job.cube, job.rows, plan.scans, plan.spill)?;
+        let wins = wins(&keys, first_win(previous, job.cube, plan.root));
+        let place = if job.cube == plan.root { Place::Root } else { Place::Below };
+        let mut result = Ok(());
+        let rest = build_bucket(job.cube, &keys, &wins, place, plan.params, |node| {
+            if result.is_ok() {
+                result = self.emit(&node, &keys, &wins, &order, &payloads);
+            }
+        });
+        result?;
+        if place == Place::Root {
+            return Ok(None);
+        }
+        let held = Arc::new(payloads.picked(rest.points.iter().map(|&i| order[i as usize])));
+        let mut row = 0_u32..;
+        let subtree = Subtree::from_bucket(job.cube, &rest, |i| {
+            let i = i as usize;
+            Entry { key: keys[i].full(bucket_cube), win: wins[i], item: (held.clone(), row.next().unwrap_or(0)) }
+        });
+        Ok(Some(subtree))
+    }
+
+    fn emit<K: RowKey>(
+        &mut self,
+        node: &EmittedNode<'_>,
+        keys: &[K],
+        wins: &[i8],
+        order: &[u32],
+        payloads: &Payloads,
+    ) -> Result<(), IngestError> {
+        let own_keys: Vec<_> = node.points.iter().map(|&i| keys[i as usize]).collect();
+        let own_wins: Vec<_> = node.points.iter().map(|&i| wins[i as usize]).collect();
+        let rows = node.points.iter().map(|&i| payloads.row(order[i as usize]));
+        self.encode(node.cube, node.leaf, node.children, &own_keys, &own_wins, rows)
+    }
+
+    fn emit_owned(&mut self, nodes: Vec<OwnedNode<Held>>) -> Result<(), IngestError> {
+        for node in nodes {
+            let keys: Vec<_> = node.entries.iter().map(|e| e.key).collect();
+            let wins: Vec<_> = node.entries.iter().map(|e| e.win).collect();
+            let rows = node.entries.iter().map(|e| e.item.0.row(e.item.1));
+            self.encode(node.cube, node.leaf, node.children, &keys, &wins, rows)?;
+        }
+        Ok(())
+    }
+
+    fn encode<'r, K: SortKey>(
+        &mut self,
+        cube: Cube,
+        leaf: bool,
+        children: u8,
+        keys: &[K],
+        wins: &[i8],
+        rows: impl ExactSizeIterator<Item = (u32, &'r [u8])>,
+    ) -> Result<(), IngestError> {
+        let columns = gather(self.plan.scans, rows, &mut self.gather);
+        let input = NodeInput {
+            layer: 0,
+            cube,
+            leaf,
+            children,
+            keys,
+            wins,
+            scans: &columns.scans,
+            columns: &columns.columns,
+        };
+        let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
+            .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
+        (self.plan.sink)(encoded)
+    }
+}

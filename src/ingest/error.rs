@@ -1,0 +1,101 @@
+//! Why an ingest stopped. The store stays at its last commit in every case.
+
+use crate::formats::FormatError;
+use crate::lattice::LatticeError;
+use crate::store::StoreError;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why an ingest stopped.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum IngestError {
+    /// A source could not be read.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// The store refused.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Quantum or phase is not usable.
+    #[error(transparent)]
+    Lattice(#[from] LatticeError),
+    /// Nothing to do.
+    #[error("no point file among the inputs{0}")]
+    NoInput(String),
+    /// One name for several scans.
+    #[error("--name names one scan; give one input with it")]
+    NameOfMany,
+    /// A scan of this name is there.
+    #[error("the store has a scan named '{0}' from another source; give another --name")]
+    NameTaken(String),
+    /// Two coordinate reference systems.
+    #[error("{path}: its CRS is {found}, the site's is {expected}; reproject it first, or --ignore-crs to take its numbers as they are")]
+    OtherCrs {
+        /// The source.
+        path: PathBuf,
+        /// The site's CRS.
+        expected: String,
+        /// The source's.
+        found: String,
+    },
+    /// The store's lattice is fixed and the user asked for another.
+    #[error("the store's quantum is {stored} and its phase {phase}; --quantum and --phase apply when a store is created")]
+    LatticeFixed {
+        /// Its quantum per axis.
+        stored: String,
+        /// Its phase per axis.
+        phase: String,
+    },
+    /// Scale and offset of a source have too many digits for exact arithmetic.
+    #[error("{0}: its scale and offset can't be brought to the store's lattice exactly; use a quantum of fewer digits")]
+    Grid(PathBuf),
+    /// Every point of a source is out of the lattice's range.
+    #[error("{path}: all its {points} points are outside the lattice ({range}); create the store with a coarser --quantum")]
+    OutOfRange {
+        /// The source.
+        path: PathBuf,
+        /// How many.
+        points: u64,
+        /// The lattice's range.
+        range: String,
+    },
+    /// A truncated file under `--strict`.
+    #[error("{path}: {missing} of the records that its header announces are missing (--strict)")]
+    Truncated {
+        /// The source.
+        path: PathBuf,
+        /// How many.
+        missing: u64,
+    },
+    /// Not enough room.
+    #[error("{folder}: needs about {needed} for the store and {temp} for temporary data, has {free} free")]
+    DiskFull {
+        /// Where.
+        folder: PathBuf,
+        /// For the store.
+        needed: String,
+        /// For the spill.
+        temp: String,
+        /// What is there.
+        free: String,
+    },
+    /// The temporary file failed.
+    #[error("{path}: {action} the temporary file failed")]
+    Spill {
+        /// The file.
+        path: PathBuf,
+        /// `creating`, `writing`, `reading`.
+        action: &'static str,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// Threads could not be started.
+    #[error("starting the worker threads failed: {0}")]
+    Threads(String),
+    /// A rule that the code relies on does not hold: a bug.
+    #[error("internal error: {0}; please report it")]
+    Internal(String),
+    /// Ctrl-C.
+    #[error("interrupted; the store is at its last commit, and the same command resumes")]
+    Interrupted,
+}

@@ -1,0 +1,203 @@
+//! Points out of a tree (OCTREE section 4).
+
+use super::nodes::{MemoryNodes, Nodes, TreePoint};
+use super::root_of;
+use super::tree::{Tree, children, merged, run_inside};
+use crate::lattice::{BITS, Cube, Key};
+use std::collections::BTreeMap;
+
+/// Which points are to go.
+pub trait Doomed<S: Nodes> {
+    /// At most how many of them are stored in the node of `cube`, from its row alone; 0 only if there are none.
+    ///
+    /// # Errors
+    ///
+    /// The storage's.
+    fn own(&self, nodes: &S, cube: Cube) -> Result<u64, S::Error>;
+    /// The same for the node and all below it.
+    ///
+    /// # Errors
+    ///
+    /// The storage's.
+    fn subtree(&self, nodes: &S, cube: Cube) -> Result<u64, S::Error>;
+    /// Is this stored point to go? Asked once for each point met.
+    fn takes(&mut self, point: &S::Point) -> bool;
+}
+
+/// All points that pass a test go: those of a scan, say.
+#[derive(Clone, Copy, Debug)]
+pub struct Matching<F>(pub F);
+
+impl<P: TreePoint, F: Fn(&P) -> bool> Doomed<MemoryNodes<P>> for Matching<F> {
+    fn own(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
+        Ok(nodes.count(cube, &self.0).0)
+    }
+
+    fn subtree(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
+        Ok(nodes.count(cube, &self.0).1)
+    }
+
+    fn takes(&mut self, point: &P) -> bool {
+        self.0(point)
+    }
+}
+
+/// These points go, each request once: of several identical points no more than are asked for.
+#[derive(Clone, Debug)]
+pub struct Requests<P>(BTreeMap<P, u64>);
+
+impl<P: Ord> FromIterator<P> for Requests<P> {
+    fn from_iter<I: IntoIterator<Item = P>>(points: I) -> Self {
+        let mut requests = BTreeMap::new();
+        points.into_iter().for_each(|p| *requests.entry(p).or_default() += 1);
+        Self(requests)
+    }
+}
+
+impl<P: TreePoint> Doomed<MemoryNodes<P>> for Requests<P> {
+    fn own(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
+        Ok(nodes.count(cube, |p| self.0.contains_key(p)).0)
+    }
+
+    fn subtree(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
+        Ok(nodes.count(cube, |p| self.0.contains_key(p)).1)
+    }
+
+    fn takes(&mut self, point: &P) -> bool {
+        let Some(left) = self.0.get_mut(point) else { return false };
+        *left -= 1;
+        if *left == 0 {
+            self.0.remove(point);
+        }
+        true
+    }
+}
+
+impl<S: Nodes> Tree<S> {
+    /// Removes points; how many went.
+    ///
+    /// Reads the points of nodes that lose some; of nodes whose cube holds a position that lost its point there or
+    /// above, all the way down; of what collapses into a leaf; and, if the root shrinks, of the nodes that are given up
+    /// and of the new root.
+    ///
+    /// # Errors
+    ///
+    /// The storage's.
+    pub fn remove(&mut self, doomed: &mut impl Doomed<S>) -> Result<u64, S::Error> {
+        let Some(root) = self.root else { return Ok(0) };
+        let gone = self.withdraw(root, &[], doomed)?;
+        if gone > 0 {
+            self.collapse(root)?;
+            if self.nodes.row(root)?.is_none() {
+                self.root = None;
+            }
+            self.shrink()?;
+        }
+        Ok(gone)
+    }
+
+    /// Removes from the node of `cube` and below, and pulls points up into the cells that lost their owner there;
+    /// `vacated` are the positions of points removed from proper ancestors, inside the cube, ascending.
+    fn withdraw(&mut self, cube: Cube, vacated: &[Key], doomed: &mut impl Doomed<S>) -> Result<u64, S::Error> {
+        let Some(row) = self.nodes.row(cube)? else { return Ok(0) };
+        if vacated.is_empty() && doomed.subtree(&self.nodes, cube)? == 0 {
+            return Ok(0);
+        }
+        let (mut lost, mut points) = (Vec::new(), Vec::new());
+        if !vacated.is_empty() || doomed.own(&self.nodes, cube)? > 0 {
+            let own = self.own(cube, row)?;
+            (lost, points) = own.into_iter().partition(|p| doomed.takes(p));
+        }
+        let mut gone = lost.len() as u64;
+        if row.leaf {
+            if gone > 0 {
+                self.nodes.write(cube, true, row.rem.saturating_sub(gone), points)?;
+            }
+            return Ok(gone);
+        }
+        let vacated = merged(vacated.to_vec(), lost.iter().map(TreePoint::key));
+        let mut pulled = Vec::new();
+        for child in children(cube) {
+            let vacated = &vacated[run_inside(&vacated, |k| *k, child)];
+            // A child is repaired before points are pulled from it, and has its leaf test after.
+            gone += self.withdraw(child, vacated, doomed)?;
+            if !vacated.is_empty() {
+                pulled.extend(self.pull(child, vacated, self.params.cell(cube.k()))?);
+            }
+            self.collapse(child)?;
+        }
+        let rem = row.rem.saturating_sub(gone);
+        if lost.is_empty() && pulled.is_empty() {
+            self.nodes.set_rem(cube, rem)?;
+        } else {
+            self.nodes.write(cube, false, rem, merged(points, pulled))?;
+        }
+        Ok(gone)
+    }
+
+    /// Takes from the node of `child` its first point in each cell of exponent `cell` that holds a vacated position.
+    fn pull(&mut self, child: Cube, vacated: &[Key], cell: i8) -> Result<Vec<S::Point>, S::Error> {
+        let Some(row) = self.nodes.row(child)? else { return Ok(Vec::new()) };
+        let cell = u8::try_from(cell).unwrap_or(0).min(BITS);
+        let mut open = vacated.iter().map(|key| key.prefix(cell)).peekable();
+        let (pulled, rest): (Vec<_>, Vec<_>) = self.own(child, row)?.into_iter().partition(|p| {
+            let prefix = p.key().prefix(cell);
+            while open.next_if(|v| *v < prefix).is_some() {}
+            // The cell's first point takes all of its vacancies.
+            let first = open.peek() == Some(&prefix);
+            while open.next_if_eq(&prefix).is_some() {}
+            first
+        });
+        if !pulled.is_empty() {
+            self.nodes.write(child, row.leaf, row.rem.saturating_sub(pulled.len() as u64), rest)?;
+        }
+        Ok(pulled)
+    }
+
+    /// The leaf test of a node that may have lost points: deleted without any, a leaf with few.
+    fn collapse(&mut self, cube: Cube) -> Result<(), S::Error> {
+        match self.nodes.row(cube)? {
+            Some(row) if row.rem == 0 => self.nodes.delete(cube),
+            Some(row) if !row.leaf && self.params.is_leaf(cube.k(), row.rem) => {
+                let points = self.take_subtree(cube)?;
+                self.nodes.write(cube, true, row.rem, points)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Makes the smallest possible cube the root, if it is not.
+    fn shrink(&mut self) -> Result<(), S::Error> {
+        let Some(old) = self.root else { return Ok(()) };
+        let Some(bounds) = self.nodes.bounds(old)? else { return Ok(()) };
+        let root = root_of(&bounds, self.params);
+        if root == old {
+            return Ok(());
+        }
+        // All points are inside the new root, so the nodes above it are a chain, and what they store goes to it.
+        let mut moved = Vec::new();
+        let mut chain = Some(old);
+        while let Some(cube) = chain.take() {
+            let Some(row) = self.nodes.row(cube)? else { break };
+            moved.extend(self.own(cube, row)?);
+            self.nodes.delete(cube)?;
+            if !row.leaf {
+                chain = cube.child(cube.octant_of(root.low())).filter(|child| *child != root);
+            }
+        }
+        match self.nodes.row(root)? {
+            Some(row) if !row.leaf && root.k() > self.params.g => {
+                let rem = row.rem + moved.len() as u64;
+                let own = self.own(root, row)?;
+                moved.sort();
+                self.nodes.write(root, false, rem, merged(own, moved))?;
+                self.root = Some(root);
+                Ok(())
+            }
+            _ => {
+                let below = self.take_subtree(root)?;
+                self.rebuild(merged(below, moved))
+            }
+        }
+    }
+}

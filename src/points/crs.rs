@@ -1,0 +1,168 @@
+//! What a coordinate reference system says: codes, kind, unit, and whether two are the same.
+
+use super::Crs;
+use super::geokeys::GeoKeys;
+use super::wkt::Node;
+
+/// GTModelTypeGeoKey of geographic systems.
+const GEOGRAPHIC: u16 = 2;
+
+impl Crs {
+    /// A CRS from what a LAS file holds: the codes are taken from the text and from the keys, first from the text if
+    /// `wkt_first`. Text that is no WKT gives no codes.
+    pub fn from_las(wkt: Option<String>, geotiff: Vec<(u16, Vec<u8>)>, wkt_first: bool) -> Self {
+        let mut crs = Self { wkt, horizontal_epsg: None, vertical_epsg: None, geotiff };
+        let node = crs.node();
+        let part = |node: Option<&Node>| node.and_then(Node::epsg);
+        let of_text = node.as_ref().map_or((None, None), |n| (part(n.horizontal()), part(n.vertical())));
+        let keys = GeoKeys::of(&crs);
+        let of_keys = (keys.horizontal_epsg(), keys.vertical_epsg());
+        let (first, second) = if wkt_first { (of_text, of_keys) } else { (of_keys, of_text) };
+        (crs.horizontal_epsg, crs.vertical_epsg) = (first.0.or(second.0), first.1.or(second.1));
+        crs
+    }
+
+    /// A CRS from a WKT alone.
+    pub fn from_wkt(wkt: impl Into<String>) -> Self {
+        Self::from_las(Some(wkt.into()), Vec::new(), true)
+    }
+
+    /// A CRS from EPSG codes alone.
+    pub fn from_epsg(horizontal: u32, vertical: Option<u32>) -> Self {
+        Self { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Self::default() }
+    }
+
+    fn node(&self) -> Option<Node> {
+        self.wkt.as_deref().and_then(Node::parse)
+    }
+
+    /// Does it say nothing?
+    pub fn is_empty(&self) -> bool {
+        let codes = self.horizontal_epsg.is_some() || self.vertical_epsg.is_some();
+        !codes && self.wkt.as_deref().is_none_or(|w| w.trim().is_empty()) && GeoKeys::of(self).is_empty()
+    }
+
+    /// Are its coordinates longitude and latitude in degrees, as far as it says?
+    pub fn is_geographic(&self) -> bool {
+        let of_text = self.node().and_then(|n| n.horizontal().map(Node::is_geographic));
+        of_text.or_else(|| GeoKeys::of(self).model().map(|m| m == GEOGRAPHIC)).unwrap_or_else(|| {
+            // The block in which EPSG keeps most of its geographic systems.
+            self.horizontal_epsg.is_some_and(|code| (4000..5000).contains(&code))
+        })
+    }
+
+    /// `metre`, `foot`, `US survey foot` or `degree`: the unit of its horizontal coordinates, if it says.
+    pub fn unit_name(&self) -> Option<&'static str> {
+        if self.is_geographic() {
+            return Some("degree");
+        }
+        let of_text = self.node().and_then(|n| n.horizontal()?.unit_factor()).and_then(|factor| {
+            let near = |unit: f64| (factor / unit - 1.0).abs() < 1e-7;
+            if near(1.0) {
+                Some("metre")
+            } else if near(0.3048) {
+                Some("foot")
+            } else if near(1200.0 / 3937.0) {
+                Some("US survey foot")
+            } else {
+                None
+            }
+        });
+        let of_keys = || match GeoKeys::of(self).linear_unit()? {
+            9001 => Some("metre"),
+            9002 => Some("foot"),
+            9003 => Some("US survey foot"),
+            _ => None,
+        };
+        // UTM on WGS 84, NAD83 and ETRS89 is in metres.
+        let of_code = || {
+            let code = self.horizontal_epsg?;
+            let utm = matches!(code, 32601..=32660 | 32701..=32760 | 26901..=26923 | 25828..=25838);
+            utm.then_some("metre")
+        };
+        of_text.or_else(of_keys).or_else(of_code)
+    }
+
+    /// Is `other` the same system? By EPSG code where both are known (vertical ones only count where both have one),
+    /// else by WKT without regard to spelling; `None` if that can't be told.
+    pub fn same_as(&self, other: &Self) -> Option<bool> {
+        if let (Some(a), Some(b)) = (self.horizontal_epsg, other.horizontal_epsg) {
+            let vertical = match (self.vertical_epsg, other.vertical_epsg) {
+                (Some(a), Some(b)) => a == b,
+                _ => true,
+            };
+            return Some(a == b && vertical);
+        }
+        let text = |crs: &Self| match crs.node() {
+            Some(node) => Some(node.normalized()),
+            None => crs.wkt.as_deref().map(|w| w.split_whitespace().collect::<String>()),
+        };
+        if let (Some(a), Some(b)) = (text(self), text(other)) {
+            return Some(a == b);
+        }
+        // The same keys are the same system; different ones may yet be.
+        (!self.geotiff.is_empty() && self.geotiff == other.geotiff && self.wkt == other.wkt).then_some(true)
+    }
+
+    /// One line for people: name and codes, as far as known.
+    pub fn describe(&self) -> String {
+        let codes: Vec<_> =
+            [self.horizontal_epsg, self.vertical_epsg].into_iter().flatten().map(|c| format!("EPSG:{c}")).collect();
+        let codes = codes.join(" + ");
+        let of_text = self.node().and_then(|n| n.name().map(str::to_owned));
+        match of_text.or_else(|| GeoKeys::of(self).citation()) {
+            Some(name) if codes.is_empty() => name,
+            Some(name) => format!("{name} ({codes})"),
+            None if codes.is_empty() => "unknown".to_owned(),
+            None => codes,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keys(entries: &[(u16, u16)]) -> Crs {
+        let mut words = vec![1, 1, 0, entries.len() as u16];
+        entries.iter().for_each(|&(key, value)| words.extend([key, 0, 1, value]));
+        let data = words.into_iter().flat_map(u16::to_le_bytes).collect();
+        Crs::from_las(None, vec![(34735, data)], false)
+    }
+
+    #[test]
+    fn geokeys_give_codes_unit_and_kind() {
+        let utm = keys(&[(1024, 1), (2048, 4269), (3072, 26915), (4096, 5703)]);
+        assert_eq!((utm.horizontal_epsg, utm.vertical_epsg), (Some(26915), Some(5703)));
+        assert_eq!((utm.unit_name(), utm.is_geographic()), (Some("metre"), false));
+        let own = keys(&[(1024, 1), (2048, 4269), (3072, 32767), (3076, 9003)]);
+        assert_eq!((own.horizontal_epsg, own.unit_name()), (None, Some("US survey foot")));
+        let degrees = keys(&[(1024, 2), (2048, 4326)]);
+        assert_eq!((degrees.horizontal_epsg, degrees.unit_name()), (Some(4326), Some("degree")));
+        assert!(keys(&[]).is_empty() && !own.is_empty());
+        assert_eq!(utm.describe(), "EPSG:26915 + EPSG:5703");
+    }
+
+    #[test]
+    fn sameness_is_told_only_where_it_can_be() {
+        let utm = |vertical| Crs::from_epsg(26915, vertical);
+        assert_eq!(utm(Some(5703)).same_as(&utm(None)), Some(true));
+        assert_eq!(utm(Some(5703)).same_as(&utm(Some(6360))), Some(false));
+        assert_eq!(utm(None).same_as(&Crs::from_epsg(26916, None)), Some(false));
+        let text = |t: &str| Crs::from_wkt(t);
+        assert_eq!(text("LOCAL_CS[\"a b\"]").same_as(&text("LOCAL_CS[ \"A_B\" ]")), Some(true));
+        assert_eq!(text("LOCAL_CS[\"a\"]").same_as(&text("LOCAL_CS[\"b\"]")), Some(false));
+        assert_eq!(text("rubbish").same_as(&text("rub bish")), Some(true));
+        assert_eq!(utm(None).same_as(&text("LOCAL_CS[\"a\"]")), None);
+        assert_eq!(keys(&[(1024, 1), (3072, 32767)]).same_as(&keys(&[(1024, 1), (3072, 32767)])), Some(true));
+    }
+
+    #[test]
+    fn the_encoding_bit_decides_between_text_and_keys() {
+        let text = Some("GEOGCS[\"WGS 84\",AUTHORITY[\"EPSG\",\"4326\"]]".to_owned());
+        let geotiff = keys(&[(1024, 1), (3072, 26915), (4096, 5703)]).geotiff;
+        let by_text = Crs::from_las(text.clone(), geotiff.clone(), true);
+        assert_eq!((by_text.horizontal_epsg, by_text.vertical_epsg), (Some(4326), Some(5703)));
+        assert_eq!(Crs::from_las(text, geotiff, false).horizontal_epsg, Some(26915));
+    }
+}

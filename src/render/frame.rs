@@ -1,0 +1,121 @@
+//! One picture's camera in the numbers that drawing needs, in `f64`: shared by the passes and the reference renderer.
+
+use super::{RenderError, RenderOptions, Scene};
+use crate::geometry::{Camera, DVec3, Projection};
+use crate::lattice::LatticeBox;
+use glam::DMat3;
+
+/// No nearer than this in any unit: keeps the depth a normal `f32`.
+const LEAST_NEAR: f64 = 1e-18;
+
+/// The camera, and where the scene's depth begins.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    pub eye: DVec3,
+    /// Rows right, up, forward.
+    pub view_from_relative: DMat3,
+    pub size_px: [u32; 2],
+    /// Pixels per unit of length: at depth 1 in perspective, anywhere in orthographic.
+    pub focal_px: f64,
+    pub perspective: bool,
+    pub near: f64,
+    pub far: Option<f64>,
+    /// The depth of the nearest point that could be seen, or less.
+    pub front: f64,
+    /// Reversed depth is `depth_scale / (depth_scale + depth - front)`.
+    pub depth_scale: f64,
+    pub min_radius_px: f64,
+    pub max_radius_px: f64,
+    /// Strength times pixels per unit of depth difference; 0 without eye-dome lighting.
+    pub edl_scale: f64,
+    pub edl_straight_px: i32,
+    pub edl_diagonal_px: i32,
+}
+
+/// What a strength of 1 means: how fast light fades with the mean slope towards the neighbours.
+const EDL_UNIT: f64 = 0.6;
+
+impl Frame {
+    /// # Errors
+    ///
+    /// As [`RenderOptions::check`] and [`Scene::check`]; [`RenderError::Size`] for sides of 0 or above `limit`.
+    pub fn new(scene: &Scene, camera: &Camera, options: &RenderOptions, limit: u32) -> Result<Self, RenderError> {
+        options.check()?;
+        scene.check()?;
+        let size_px = camera.size_px();
+        let [width, height] = size_px;
+        if size_px.iter().any(|side| !(1..=limit).contains(side)) {
+            return Err(RenderError::Size { width, height, limit });
+        }
+        let to_view = camera.view_from_relative();
+        let view_from_relative = DMat3::from_cols(to_view.row(0), to_view.row(1), -to_view.row(2)).transpose();
+        let height = f64::from(height);
+        let (focal_px, perspective) = match camera.projection() {
+            Projection::Perspective { fov_y_rad } => (height / (2.0 * (fov_y_rad / 2.0).tan()), true),
+            Projection::Orthographic { height: seen } => (height / seen, false),
+        };
+        let near = if perspective { camera.near().max(LEAST_NEAR) } else { camera.near() };
+        let mut frame = Self {
+            eye: camera.eye(),
+            view_from_relative,
+            size_px,
+            focal_px,
+            perspective,
+            near,
+            far: camera.far(),
+            front: near,
+            depth_scale: 1.0,
+            min_radius_px: options.min_radius_px,
+            max_radius_px: options.min_radius_px.max(options.max_radius_of_height * height),
+            edl_scale: 0.0,
+            edl_straight_px: 1,
+            edl_diagonal_px: 1,
+        };
+        if let Some(edl) = options.edl {
+            let radius_px = f64::from(edl.radius_px);
+            frame.edl_scale = EDL_UNIT * f64::from(edl.strength) * focal_px / radius_px;
+            frame.edl_straight_px = radius_px.round().max(1.0) as i32;
+            frame.edl_diagonal_px = (radius_px * std::f64::consts::FRAC_1_SQRT_2).round().max(1.0) as i32;
+        }
+        frame.fit_depth(scene);
+        Ok(frame)
+    }
+
+    /// View coordinates of a world position: right, up, depth.
+    pub fn view_from_world(&self, world: [f64; 3]) -> DVec3 {
+        self.view_from_relative * (DVec3::from_array(world) - self.eye)
+    }
+
+    /// Begins the depth at the scene, and spreads it over the scene's extent.
+    ///
+    /// `f32` resolves `depth_scale / (depth_scale + x)` to about `6e-8 * (depth_scale + x)`. With the scale at the front's own
+    /// depth this is the usual reversed depth, near / depth; if the scene is much further away than it is deep, its
+    /// extent is the better scale.
+    fn fit_depth(&mut self, scene: &Scene) {
+        let (mut nearest, mut farthest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for bounds in scene.nodes.iter().filter_map(|node| node.bounds()) {
+            for corner in corners(&bounds) {
+                let depth = self.view_from_world(scene.lattice.world_from_lattice(corner)).z;
+                nearest = nearest.min(depth);
+                farthest = farthest.max(depth);
+            }
+        }
+        if !(farthest >= self.near) {
+            // Nothing can be seen.
+            return;
+        }
+        self.front = nearest.max(self.near);
+        let extent = farthest - self.front;
+        self.depth_scale = match (self.perspective, extent > LEAST_NEAR) {
+            (true, true) => self.front.min(extent),
+            (true, false) => self.front,
+            (false, true) => extent,
+            (false, false) => 1.0,
+        };
+    }
+}
+
+fn corners(bounds: &LatticeBox) -> impl Iterator<Item = crate::lattice::LatticePoint> {
+    let ends = [bounds.min.0, bounds.max.0];
+    (0..8).map(move |corner| crate::lattice::LatticePoint(std::array::from_fn(|i| ends[corner >> i & 1][i])))
+}

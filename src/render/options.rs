@@ -1,0 +1,100 @@
+//! How a scene is to look.
+
+use super::RenderError;
+
+/// What is where no point is: sRGB-coded bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Background {
+    /// One colour; an alpha below 255 makes the picture transparent there.
+    Plain([u8; 4]),
+    /// From the top row to the bottom row, in equal steps of the coded values.
+    Gradient {
+        /// At the top edge.
+        top: [u8; 4],
+        /// At the bottom edge.
+        bottom: [u8; 4],
+    },
+}
+
+impl Default for Background {
+    /// A slate gradient, darker at the top: points of any colour, black and white included, stand out from it.
+    fn default() -> Self {
+        Self::Gradient { top: [30, 35, 44, 255], bottom: [104, 114, 128, 255] }
+    }
+}
+
+impl Background {
+    /// Colours at the top and the bottom edge, 0 to 1.
+    pub(super) fn ends(self) -> [[f32; 4]; 2] {
+        let (top, bottom) = match self {
+            Self::Plain(color) => (color, color),
+            Self::Gradient { top, bottom } => (top, bottom),
+        };
+        [top, bottom].map(|color| color.map(|byte| f32::from(byte) / 255.0))
+    }
+}
+
+/// Eye-dome lighting: shading from depth alone, which shows shape where points have no normals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edl {
+    /// How strong; 1 is a good default.
+    pub strength: f32,
+    /// How far away the neighbours are that a pixel is compared with, in pixels; rounded to whole pixels.
+    pub radius_px: f32,
+}
+
+impl Default for Edl {
+    fn default() -> Self {
+        Self { strength: 1.0, radius_px: 1.4 }
+    }
+}
+
+/// How a scene is drawn; the image's size is the camera's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderOptions {
+    /// What is where no point is.
+    pub background: Background,
+    /// A splat's radius relative to its node's spacing. Points on a square grid leave no hole from 0.71 up.
+    pub radius_factor: f64,
+    /// The least radius of a splat, in pixels; not below 0.5, a diameter of one pixel.
+    pub min_radius_px: f64,
+    /// The greatest radius of a splat, relative to the height of the image: a point right before the eye does not hide
+    /// all others.
+    pub max_radius_of_height: f64,
+    /// Shading; `None` shows the colours as they are.
+    pub edl: Option<Edl>,
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self {
+            background: Background::default(),
+            radius_factor: 0.75,
+            min_radius_px: 0.5,
+            max_radius_of_height: 0.125,
+            edl: Some(Edl::default()),
+        }
+    }
+}
+
+impl RenderOptions {
+    /// # Errors
+    ///
+    /// [`RenderError::Number`] for what is not a number, negative or absurdly large.
+    pub(super) fn check(&self) -> Result<(), RenderError> {
+        let edl = self.edl.unwrap_or_default();
+        let numbers = [
+            ("the splats' radius factor", self.radius_factor, 0.0, 1e6, "from 0 to 1e6"),
+            ("the least radius of a splat", self.min_radius_px, 0.5, 1e4, "from 0.5 to 1e4 pixels"),
+            ("the greatest radius of a splat", self.max_radius_of_height, 0.0, 1.0, "from 0 to 1 image heights"),
+            ("the strength of eye-dome lighting", f64::from(edl.strength), 0.0, 1e6, "from 0 to 1e6"),
+            ("the radius of eye-dome lighting", f64::from(edl.radius_px), 1.0, 1e3, "from 1 to 1000 pixels"),
+        ];
+        for (name, value, least, greatest, expected) in numbers {
+            if !(least..=greatest).contains(&value) {
+                return Err(RenderError::Number { name, value, expected });
+            }
+        }
+        Ok(())
+    }
+}

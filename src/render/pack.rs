@@ -1,0 +1,106 @@
+//! A scene as pages of 16-byte points, each page small enough for one storage buffer.
+//!
+//! A block is a run of a node's points in a box of at most 2^32 steps a side: positions are offsets from the box's low
+//! corner, so nothing is rounded, however large the node. Runs keep the drawing order.
+
+use super::frame::Frame;
+use super::gpu_types::{GpuBlock, GpuPoint};
+use super::{RenderNode, Scene};
+use crate::geometry::DVec3;
+use crate::lattice::{Lattice, LatticePoint};
+
+/// Points and blocks that are uploaded and drawn together.
+#[derive(Debug, Default)]
+pub(super) struct Page {
+    pub points: Vec<GpuPoint>,
+    pub blocks: Vec<GpuBlock>,
+    /// Points of each block.
+    pub counts: Vec<u32>,
+}
+
+/// Hands the scene's points to `draw`, in drawing order, in pages of at most `page_points` points and as many blocks.
+///
+/// # Errors
+///
+/// What `draw` returns.
+pub(super) fn for_each_page<E>(
+    scene: &Scene,
+    frame: &Frame,
+    radius_factor: f64,
+    page_points: usize,
+    page_blocks: usize,
+    mut draw: impl FnMut(&Page) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut page = Page::default();
+    for node in &scene.nodes {
+        let mut start = 0;
+        while start < node.positions.len() {
+            if page.points.len() >= page_points || page.blocks.len() >= page_blocks {
+                draw(&page)?;
+                page = Page::default();
+            }
+            let room = page_points - page.points.len();
+            let run = Run::starting_at(node, start, room);
+            page.blocks.push(run.block(&scene.lattice, frame, node.spacing * radius_factor));
+            page.counts.push(run.points as u32);
+            page.points.extend((start..start + run.points).map(|i| run.packed(node, i)));
+            start += run.points;
+        }
+    }
+    if page.points.is_empty() { Ok(()) } else { draw(&page) }
+}
+
+/// Consecutive points of a node whose box is small enough.
+struct Run {
+    points: usize,
+    corner: [u64; 3],
+    high: [u64; 3],
+}
+
+impl Run {
+    /// The longest run from point `start` with at most `room` points; at least one.
+    fn starting_at(node: &RenderNode, start: usize, room: usize) -> Self {
+        let first = node.positions.point(start).0;
+        let mut run = Self { points: 1, corner: first, high: first };
+        let end = node.positions.len().min(start + room);
+        for i in start + 1..end {
+            let point = node.positions.point(i).0;
+            let corner: [u64; 3] = std::array::from_fn(|axis| run.corner[axis].min(point[axis]));
+            let high: [u64; 3] = std::array::from_fn(|axis| run.high[axis].max(point[axis]));
+            if (0..3).any(|axis| high[axis] - corner[axis] > u64::from(u32::MAX)) {
+                break;
+            }
+            run = Self { points: run.points + 1, corner, high };
+        }
+        run
+    }
+
+    fn packed(&self, node: &RenderNode, i: usize) -> GpuPoint {
+        let [steps_x, steps_y, steps_z] =
+            std::array::from_fn(|axis| (node.positions.point(i).0[axis] - self.corner[axis]) as u32);
+        GpuPoint { steps_x, steps_y, steps_z, color: node.colors[i] }
+    }
+
+    /// The block's anchor is the lattice point of its box that is nearest to the eye (in an orthographic view: to the
+    /// line of sight, beside the box's middle), since what is seen large is near there, and f32 is fine near there.
+    fn block(&self, lattice: &Lattice, frame: &Frame, radius: f64) -> GpuBlock {
+        let world_corner = lattice.world_from_lattice(LatticePoint(self.corner));
+        let quantum = lattice.quantum_f64();
+        let side: [f64; 3] = std::array::from_fn(|axis| (self.high[axis] - self.corner[axis]) as f64);
+        // From the eye to the corner: the difference of two f64 coordinates, formed before anything is scaled.
+        let to_corner = DVec3::from_array(world_corner) - frame.eye;
+        let mut to_focus = DVec3::ZERO;
+        if !frame.perspective {
+            let forward = frame.view_from_relative.row(2);
+            let middle = to_corner + DVec3::from_array(std::array::from_fn(|axis| side[axis] * quantum[axis] / 2.0));
+            to_focus = forward * forward.dot(middle);
+        }
+        let focus_steps = (to_focus - to_corner).to_array();
+        let anchor_steps: [u32; 3] =
+            std::array::from_fn(|axis| (focus_steps[axis] / quantum[axis]).clamp(0.0, side[axis]) as u32);
+        let anchor = DVec3::from_array(std::array::from_fn(|axis| f64::from(anchor_steps[axis]) * quantum[axis]));
+        let view = frame.view_from_relative * (to_corner + anchor);
+        let anchor_view = [view.x as f32, view.y as f32, (view.z - frame.front) as f32];
+        GpuBlock { anchor_steps, radius: radius as f32, anchor_view, pad_0: 0 }
+    }
+}

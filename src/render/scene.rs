@@ -1,0 +1,173 @@
+//! What is drawn: points on a lattice, grouped by spacing.
+
+use super::RenderError;
+use crate::lattice::{Cube, Lattice, LatticeBox, LatticePoint};
+use crate::points::Positions;
+use std::collections::HashMap;
+
+/// Points that lie about equally far apart.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RenderNode {
+    /// The distance between neighbouring points of the picture here, in CRS units; twice that while finer points are
+    /// still missing.
+    pub spacing: f64,
+    /// Where.
+    pub positions: Positions,
+    /// One per position: sRGB-coded red, green, blue. The fourth byte is not used: points are opaque.
+    pub colors: Vec<[u8; 4]>,
+}
+
+/// All that is drawn, in drawing order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// What the positions mean.
+    pub lattice: Lattice,
+    /// In drawing order, which decides between equally near points: node-key order for a store's nodes.
+    pub nodes: Vec<RenderNode>,
+}
+
+/// The points that a selection takes from one node of the octree.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SelectedPoints {
+    /// The node's cube.
+    pub cube: Cube,
+    /// The spacing that the selection reaches in the cube, where no finer node is selected; in CRS units.
+    pub spacing: f64,
+    /// Where.
+    pub positions: Positions,
+    /// One per position.
+    pub colors: Vec<[u8; 4]>,
+}
+
+impl Scene {
+    /// The scene of a selection, given in drawing order: each point is as large as the spacing of the *finest* selected
+    /// node whose cube holds it asks for, so that the sparse points of coarse nodes don't cover the fine ones around.
+    ///
+    /// A node counts as the finer one only if all nodes between are selected too, which holds in any selection that
+    /// starts at the root.
+    ///
+    /// # Errors
+    ///
+    /// [`RenderError::ColorCount`] if a node's colours are not as many as its positions.
+    pub fn from_selection(lattice: Lattice, selected: Vec<SelectedPoints>) -> Result<Self, RenderError> {
+        let mut spacings: HashMap<Cube, f64> = HashMap::with_capacity(selected.len());
+        for node in &selected {
+            // Layers have nodes of the same cube: together they are at least as fine as the finest.
+            let spacing = spacings.entry(node.cube).or_insert(node.spacing);
+            *spacing = spacing.min(node.spacing);
+        }
+        let finest = |cube: Cube, point: LatticePoint| {
+            let mut finest = cube;
+            while let Some(child) = finest.child(finest.octant_of(point)).filter(|c| spacings.contains_key(c)) {
+                finest = child;
+            }
+            spacings.get(&finest).copied()
+        };
+        let mut nodes = Vec::with_capacity(selected.len());
+        for (place, node) in selected.into_iter().enumerate() {
+            check_counts(place, &node.positions, &node.colors)?;
+            let has_finer = (0..8).any(|octant| node.cube.child(octant).is_some_and(|c| spacings.contains_key(&c)));
+            if !has_finer {
+                nodes.push(RenderNode { spacing: node.spacing, positions: node.positions, colors: node.colors });
+                continue;
+            }
+            // Runs, not groups: the drawing order stays.
+            let mut run = RenderNode::default();
+            for (point, color) in node.positions.iter().zip(node.colors) {
+                let spacing = finest(node.cube, point).unwrap_or(node.spacing);
+                if spacing != run.spacing && !run.positions.is_empty() {
+                    nodes.push(std::mem::take(&mut run));
+                }
+                run.spacing = spacing;
+                run.positions.push(point);
+                run.colors.push(color);
+            }
+            nodes.push(run);
+        }
+        Ok(Self { lattice, nodes })
+    }
+
+    /// The number of points.
+    pub fn len(&self) -> usize {
+        self.nodes.iter().map(|node| node.positions.len()).sum()
+    }
+
+    /// No points?
+    pub fn is_empty(&self) -> bool {
+        self.nodes.iter().all(|node| node.positions.is_empty())
+    }
+
+    /// # Errors
+    ///
+    /// [`RenderError::ColorCount`], [`RenderError::Number`] for a spacing that is no length.
+    pub(super) fn check(&self) -> Result<(), RenderError> {
+        for (place, node) in self.nodes.iter().enumerate() {
+            check_counts(place, &node.positions, &node.colors)?;
+            if !(0.0..=1e15).contains(&node.spacing) {
+                let (name, expected) = ("the spacing of a node", "from 0 to 1e15");
+                return Err(RenderError::Number { name, value: node.spacing, expected });
+            }
+        }
+        Ok(())
+    }
+}
+
+impl RenderNode {
+    /// The tight box of the points; `None` without points.
+    pub(super) fn bounds(&self) -> Option<LatticeBox> {
+        let axis = |values: &[u64]| Some((*values.iter().min()?, *values.iter().max()?));
+        let (x, y, z) = (axis(&self.positions.x)?, axis(&self.positions.y)?, axis(&self.positions.z)?);
+        Some(LatticeBox { min: LatticePoint([x.0, y.0, z.0]), max: LatticePoint([x.1, y.1, z.1]) })
+    }
+}
+
+fn check_counts(node: usize, positions: &Positions, colors: &[[u8; 4]]) -> Result<(), RenderError> {
+    let (points, colors) = (positions.len(), colors.len());
+    if points == colors { Ok(()) } else { Err(RenderError::ColorCount { node, points, colors }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn selected(cube: Cube, spacing: f64, points: &[[u64; 3]]) -> SelectedPoints {
+        let positions = points.iter().map(|&p| LatticePoint(p)).collect();
+        SelectedPoints { cube, spacing, positions, colors: vec![[0; 4]; points.len()] }
+    }
+
+    #[test]
+    fn a_point_has_the_spacing_of_the_finest_selected_node_around_it() {
+        let root = Cube::containing(LatticePoint([0; 3]), 10);
+        let child = root.child(0).unwrap();
+        let grandchild = child.child(7).unwrap();
+        let scene = Scene::from_selection(
+            Lattice::uniform(0.01).unwrap(),
+            vec![
+                selected(root, 8.0, &[[1000, 0, 0], [10, 0, 0], [11, 0, 0], [400, 400, 400], [1000, 1000, 0]]),
+                selected(child, 4.0, &[[20, 0, 0], [300, 300, 300]]),
+                selected(grandchild, 2.0, &[[260, 260, 260]]),
+            ],
+        )
+        .unwrap();
+        let runs: Vec<(f64, Vec<u64>)> = scene.nodes.iter().map(|n| (n.spacing, n.positions.x.clone())).collect();
+        let expected = vec![
+            (8.0, vec![1000]),
+            (4.0, vec![10, 11]),
+            (2.0, vec![400]),
+            (8.0, vec![1000]),
+            (4.0, vec![20]),
+            (2.0, vec![300]),
+            (2.0, vec![260]),
+        ];
+        assert_eq!(runs, expected);
+        assert!(scene.nodes.iter().all(|n| n.colors.len() == n.positions.len()));
+    }
+
+    #[test]
+    fn colours_must_be_as_many_as_points() {
+        let mut node = selected(Cube::containing(LatticePoint([0; 3]), 10), 1.0, &[[0; 3]]);
+        node.colors.clear();
+        let refused = Scene::from_selection(Lattice::uniform(1.0).unwrap(), vec![node]);
+        assert!(matches!(refused, Err(RenderError::ColorCount { node: 0, points: 1, colors: 0 })));
+    }
+}

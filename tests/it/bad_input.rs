@@ -1,0 +1,318 @@
+//! Whatever a user does wrong: one line that says what to do, an exit code, nothing lost.
+
+use crate::support::{esker, esker_fails, esker_ok};
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use tempfile::TempDir;
+
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap() }
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) -> String {
+        fs::write(self.path(name), bytes).unwrap();
+        self.path(name)
+    }
+
+    /// A valid LAS file of `points` points.
+    fn las(&self, name: &str, points: u64) -> String {
+        esker_ok(&["generate", "torus", "--points", &points.to_string(), "-o", &self.path(name)]);
+        self.path(name)
+    }
+
+    /// A store with a torus in it.
+    fn store(&self, points: u64) -> String {
+        let las = self.las("torus.las", points);
+        esker_ok(&["ingest", &self.path("torus.esker"), &las]);
+        self.path("torus.esker")
+    }
+
+    fn nothing_there(&self, name: &str) {
+        for entry in fs::read_dir(self.folder.path()).unwrap() {
+            let found = entry.unwrap().file_name().into_string().unwrap();
+            assert!(!found.starts_with(name), "{found} was left behind");
+        }
+    }
+}
+
+#[test]
+fn no_arguments_and_unknown_flags_are_usage_errors() {
+    for arguments in [&[][..], &["--what"], &["ingest"], &["ingest", "x.esker"], &["nonsense"], &["query", "s", "--wat"]] {
+        let output = esker(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(!output.stderr.is_empty());
+    }
+    for command in ["ingest", "scans", "info", "query", "render", "verify", "digest", "generate"] {
+        let help = esker_ok(&[command, "--help"]);
+        assert!(help.contains("Example"), "{command} --help has no example");
+    }
+}
+
+#[test]
+fn inputs_that_are_no_point_files_are_named() {
+    let place = Place::new();
+    let store = place.path("s.esker");
+    esker_fails(&["ingest", &store, &place.path("missing.las")], 1, &["missing.las"]);
+    let empty = place.write("empty.las", b"");
+    esker_fails(&["ingest", &store, &empty], 1, &["empty.las"]);
+    let text = place.write("text.las", b"this is no point cloud at all, it is a letter to my aunt");
+    esker_fails(&["ingest", &store, &text], 1, &["text.las"]);
+    let unknown = place.write("notes.docx", b"PK\x03\x04 something");
+    esker_fails(&["ingest", &store, &unknown], 1, &["notes.docx"]);
+    fs::create_dir(place.path("folder")).unwrap();
+    esker_fails(&["ingest", &store, &place.path("folder")], 1, &["point file"]);
+    place.nothing_there("s.esker");
+}
+
+#[test]
+fn a_wrong_ending_does_not_matter() {
+    let place = Place::new();
+    let las = place.las("a.las", 1000);
+    let renamed = place.path("a.ply");
+    fs::rename(las, &renamed).unwrap();
+    esker_ok(&["ingest", &place.path("s.esker"), &renamed]);
+    assert_eq!(esker_ok(&["query", &place.path("s.esker"), "--count"]).trim(), "1000");
+}
+
+#[test]
+fn zero_points_are_a_scan_of_zero_points() {
+    let place = Place::new();
+    let ply = place.write(
+        "none.ply",
+        b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+    );
+    let store = place.path("s.esker");
+    esker_ok(&["ingest", &store, &ply]);
+    assert_eq!(esker_ok(&["query", &store, "--count"]).trim(), "0");
+    esker_ok(&["verify", &store]);
+    esker_ok(&["query", &store, "-o", &place.path("none.las")]);
+    esker_ok(&["info", &store]);
+}
+
+#[test]
+fn headers_that_lie_are_noticed() {
+    let place = Place::new();
+    let las = place.las("a.las", 1000);
+    let bytes = fs::read(&las).unwrap();
+    let store = place.path("s.esker");
+
+    // Offset to the points beyond the end.
+    let mut lie = bytes.clone();
+    lie[96..100].copy_from_slice(&u32::MAX.to_le_bytes());
+    let path = place.write("offset.las", &lie);
+    esker_fails(&["ingest", &store, &path], 1, &["offset.las"]);
+    place.nothing_there("s.esker");
+
+    // More points than there are (the 64-bit count of LAS 1.4).
+    let mut lie = bytes.clone();
+    lie[247..255].copy_from_slice(&5000_u64.to_le_bytes());
+    let path = place.write("count.las", &lie);
+    esker_fails(&["ingest", &store, &path, "--strict"], 1, &["count.las", "4000"]);
+    place.nothing_there("s.esker");
+    let report = esker_ok(&["ingest", &store, &path, "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_eq!(report["scans"][0]["stored"], 1000);
+    assert_eq!(report["scans"][0]["read"], 5000);
+    assert_eq!(report["scans"][0]["rejected"], 4000);
+    esker_ok(&["verify", &store]);
+
+    // Cut short in the middle of a record.
+    let path = place.write("cut.las", &bytes[..bytes.len() - 10]);
+    let store = place.path("cut.esker");
+    esker_ok(&["ingest", &store, &path]);
+    assert_eq!(esker_ok(&["query", &store, "--count"]).trim(), "999");
+}
+
+#[test]
+fn nan_and_infinite_coordinates_are_rejected_and_counted() {
+    let place = Place::new();
+    let mut ply = b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty float x\nproperty float y\n\
+                    property float z\nproperty float q\nend_header\n"
+        .to_vec();
+    for x in [1.0, f32::NAN, f32::INFINITY, -2.0, f32::NEG_INFINITY] {
+        for v in [x, 1.0, 2.0, f32::NAN] {
+            ply.extend_from_slice(&v.to_le_bytes());
+        }
+    }
+    let path = place.write("nan.ply", &ply);
+    let store = place.path("s.esker");
+    let report = esker_ok(&["ingest", &store, &path, "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_eq!(report["scans"][0]["stored"], 2);
+    assert_eq!(report["scans"][0]["rejected_not_finite"], 3);
+    let output = esker(&["ingest", &place.path("t.esker"), &path, "--strict"]);
+    assert_eq!(output.status.code(), Some(3));
+    // NaN in an attribute is data.
+    let csv = place.path("out.csv");
+    esker_ok(&["query", &store, "-o", &csv]);
+    assert_eq!(fs::read_to_string(csv).unwrap().matches("NaN").count(), 2);
+}
+
+#[test]
+fn coordinates_over_the_whole_i32_range_are_kept() {
+    let place = Place::new();
+    let mut las = fs::read(place.las("a.las", 4)).unwrap();
+    let start = u32::from_le_bytes(las[96..100].try_into().unwrap()) as usize;
+    let size = usize::from(u16::from_le_bytes(las[105..107].try_into().unwrap()));
+    for (i, v) in [i32::MIN, i32::MAX, 0, -1].into_iter().enumerate() {
+        for axis in 0..3 {
+            let at = start + i * size + 4 * axis;
+            las[at..at + 4].copy_from_slice(&v.to_le_bytes());
+        }
+    }
+    let path = place.write("wide.las", &las);
+    let store = place.path("s.esker");
+    esker_ok(&["ingest", &store, &path]);
+    esker_ok(&["verify", &store]);
+    let out = place.path("out.las");
+    esker_ok(&["query", &store, "-o", &out]);
+    let (before, after) = (crate::support::RawLas::read(Path::new(&path)), crate::support::RawLas::read(Path::new(&out)));
+    assert_eq!(before.unwrap().sorted(), after.unwrap().sorted());
+}
+
+#[test]
+fn stores_that_are_none_or_too_new_are_refused() {
+    let place = Place::new();
+    let text = place.write("a.esker", b"not a database, just some words that are long enough to be read as a header....");
+    for command in ["info", "scans", "query", "verify", "digest", "render"] {
+        let out = place.path("x.png");
+        let mut arguments = vec![command, text.as_str()];
+        if command == "render" {
+            arguments.extend(["-o", &out]);
+        }
+        esker_fails(&arguments, 1, &["a.esker"]);
+    }
+    let las = place.las("a.las", 10);
+    esker_fails(&["ingest", &text, &las], 1, &["a.esker"]);
+    esker_fails(&["info", &place.path("none.esker")], 1, &["none.esker"]);
+    fs::create_dir(place.path("dir.esker")).unwrap();
+    esker_fails(&["info", &place.path("dir.esker")], 1, &["dir.esker"]);
+
+    // SQLite keeps user_version at byte 60 of the file.
+    let store = place.store(10);
+    let mut bytes = fs::read(&store).unwrap();
+    bytes[60..64].copy_from_slice(&99_u32.to_be_bytes());
+    let newer = place.write("newer.esker", &bytes);
+    esker_fails(&["info", &newer], 1, &["99", "newer"]);
+}
+
+#[test]
+fn outputs_that_exist_are_not_overwritten() {
+    let place = Place::new();
+    let store = place.store(500);
+    let out = place.write("out.las", b"precious");
+    esker_fails(&["query", &store, "-o", &out], 1, &["out.las", "--force"]);
+    assert_eq!(fs::read(&out).unwrap(), b"precious");
+    esker_ok(&["query", &store, "-o", &out, "--force"]);
+    assert!(fs::read(&out).unwrap().starts_with(b"LASF"));
+    let picture = place.write("out.png", b"precious");
+    esker_fails(&["render", &store, "-o", &picture], 1, &["out.png", "--force"]);
+    esker_fails(&["query", &store, "-o", &place.path("out.xyzw")], 1, &["xyzw"]);
+    esker_fails(&["generate", "torus", "--points", "10", "-o", &out], 1, &["--force"]);
+}
+
+#[test]
+fn a_place_that_cannot_be_written_is_named() {
+    let place = Place::new();
+    let las = place.las("a.las", 10);
+    esker_fails(&["ingest", &place.path("no/such/folder/s.esker"), &las], 1, &["s.esker"]);
+    esker_fails(&["ingest", "/proc/s.esker", &las], 1, &["/proc"]);
+    let store = place.store(10);
+    esker_fails(&["query", &store, "-o", &place.path("no/such/out.las")], 1, &["out.las"]);
+}
+
+#[test]
+fn a_full_disk_leaves_the_store_as_it_was() {
+    let place = Place::new();
+    let shim = place.path("full_disk.so");
+    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shim/full_disk.c");
+    let compiled = Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o", &shim, source, "-ldl"]).status().unwrap();
+    assert!(compiled.success());
+    let store = place.store(20_000);
+    let before = esker_ok(&["digest", &store]);
+    esker_ok(&["generate", "spheres", "--points", "200000", "-o", &place.path("more.las")]);
+    for bytes in ["0", "100000", "1000000"] {
+        let output = Command::new(env!("CARGO_BIN_EXE_esker"))
+            .args(["ingest", &store, &place.path("more.las")])
+            .env("LD_PRELOAD", &shim)
+            .env("ESKER_TEST_DISK_PATH", "torus.esker")
+            .env("ESKER_TEST_DISK_BYTES", bytes)
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{bytes}: {stderr}");
+        assert!(stderr.contains("torus.esker") && stderr.contains("full"), "{bytes}: {stderr}");
+        assert_eq!(esker_ok(&["digest", &store]), before, "after {bytes} bytes");
+        esker_ok(&["verify", &store]);
+    }
+    // With room again, the same command does it.
+    esker_ok(&["ingest", &store, &place.path("more.las")]);
+    assert_eq!(esker_ok(&["query", &store, "--count"]).trim(), "220000");
+}
+
+#[test]
+fn an_interrupt_keeps_what_was_committed() {
+    let place = Place::new();
+    let store = place.store(1000);
+    let before = esker_ok(&["digest", &store]);
+    esker_ok(&["generate", "terrain", "--points", "3000000", "-o", &place.path("big.las")]);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["ingest", &store, &place.path("big.las"), "--threads", "1", "--progress", "json"])
+        .stderr(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    // Once it says that it is reading, its signal handler is in place.
+    let mut lines = std::io::BufRead::lines(std::io::BufReader::new(child.stderr.take().unwrap()));
+    assert!(lines.next().unwrap().unwrap().contains("reading"));
+    let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupted.success());
+    let rest: Vec<_> = lines.map(Result::unwrap).collect();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
+    assert!(rest.iter().any(|l| l.contains("interrupted")), "{rest:?}");
+    assert_eq!(esker_ok(&["digest", &store]), before);
+    assert!(fs::read_dir(place.folder.path()).unwrap().all(|e| !e.unwrap().file_name().to_string_lossy().contains("spill")));
+}
+
+#[test]
+fn a_read_only_store_can_be_read() {
+    let place = Place::new();
+    let store = place.store(1000);
+    let folder: PathBuf = place.folder.path().join("medium");
+    fs::create_dir(&folder).unwrap();
+    let copy = folder.join("torus.esker");
+    fs::copy(&store, &copy).unwrap();
+    let mut permissions = fs::metadata(&copy).unwrap().permissions();
+    permissions.set_readonly(true);
+    fs::set_permissions(&copy, permissions).unwrap();
+    assert_eq!(esker_ok(&["query", copy.to_str().unwrap(), "--count"]).trim(), "1000");
+    esker_ok(&["verify", copy.to_str().unwrap()]);
+}
+
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    let place = Place::new();
+    let store = place.store(100_000);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["query", &store, "-o", "-", "--format", "csv"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    std::io::stdout().flush().unwrap();
+}

@@ -1,0 +1,113 @@
+//! Law 3: the tree is a function of the points and the lattice, not of how they came.
+
+use crate::support::{Random, RawLas, data_folder, esker_ok, las_like};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A LAS file to cut and shuffle: a real tile if there is one, else a generated terrain.
+fn tile(folder: &Path) -> PathBuf {
+    if let Some(data) = data_folder() {
+        let real = data.join("pdal_autzen/autzen_trim_7.las");
+        if real.exists() {
+            return real;
+        }
+    }
+    let made = folder.join("made.las");
+    esker_ok(&["generate", "terrain", "--points", "110000", "-o", made.to_str().unwrap()]);
+    made
+}
+
+fn points_digest(store: &Path) -> String {
+    esker_ok(&["digest", store.to_str().unwrap()]).lines().next().unwrap().to_owned()
+}
+
+struct Trial {
+    folder: tempfile::TempDir,
+    number: usize,
+}
+
+impl Trial {
+    /// The `points` digest after these ingests, one command each.
+    fn digest(&mut self, commands: &[Vec<&Path>], options: &[&str]) -> String {
+        self.number += 1;
+        let store = self.folder.path().join(format!("{}.esker", self.number));
+        for inputs in commands {
+            let mut arguments = vec!["ingest", store.to_str().unwrap()];
+            arguments.extend(inputs.iter().map(|p| p.to_str().unwrap()));
+            arguments.extend(options);
+            esker_ok(&arguments);
+        }
+        esker_ok(&["verify", store.to_str().unwrap(), "--deep"]);
+        points_digest(&store)
+    }
+}
+
+#[test]
+fn the_tree_does_not_depend_on_threads_memory_order_or_grouping() {
+    let mut trial = Trial { folder: tempfile::tempdir().unwrap(), number: 0 };
+    let path = tile(trial.folder.path());
+    let bytes = fs::read(&path).unwrap();
+    let records = RawLas::read(&path).unwrap().records;
+    let expected = trial.digest(&[vec![&path]], &[]);
+
+    assert_eq!(trial.digest(&[vec![&path]], &["--threads", "1"]), expected, "one thread");
+    assert_eq!(trial.digest(&[vec![&path]], &["--threads", "2"]), expected, "two threads");
+    assert_eq!(trial.digest(&[vec![&path]], &["--memory", "64MiB"]), expected, "64 MiB");
+    assert_eq!(trial.digest(&[vec![&path]], &["--memory", "1MiB"]), expected, "spilling");
+    assert_eq!(trial.digest(&[vec![&path]], &["--memory", "4GiB"]), expected, "4 GiB");
+
+    let mut random = Random(20_261_122);
+    let mut shuffled = records.clone();
+    random.shuffle(&mut shuffled);
+    let whole = trial.folder.path().join("shuffled.las");
+    fs::write(&whole, las_like(&bytes, &shuffled)).unwrap();
+    assert_eq!(trial.digest(&[vec![&whole]], &[]), expected, "shuffled");
+
+    let parts: Vec<PathBuf> = (0..5)
+        .map(|i| {
+            let path = trial.folder.path().join(format!("part{i}.las"));
+            let own: Vec<_> = shuffled.iter().skip(i).step_by(5).cloned().collect();
+            fs::write(&path, las_like(&bytes, &own)).unwrap();
+            path
+        })
+        .collect();
+    let p: Vec<&Path> = parts.iter().map(PathBuf::as_path).collect();
+    assert_eq!(trial.digest(&[p.clone()], &[]), expected, "five files at once");
+    let reversed: Vec<&Path> = p.iter().rev().copied().collect();
+    assert_eq!(trial.digest(&[reversed], &["--memory", "1MiB"]), expected, "reversed, spilling");
+    for _ in 0..3 {
+        let mut order = p.clone();
+        random.shuffle(&mut order);
+        let cut = 1 + random.below(4) as usize;
+        let commands: Vec<Vec<&Path>> = order.chunks(cut).map(<[_]>::to_vec).collect();
+        assert_eq!(trial.digest(&commands, &[]), expected, "one by one: {commands:?}");
+    }
+}
+
+#[test]
+fn the_digest_notices_a_changed_point() {
+    let mut trial = Trial { folder: tempfile::tempdir().unwrap(), number: 0 };
+    let path = tile(trial.folder.path());
+    let bytes = fs::read(&path).unwrap();
+    let mut records = RawLas::read(&path).unwrap().records;
+    let expected = trial.digest(&[vec![&path]], &[]);
+    // The intensity of one record.
+    records[777][12] ^= 1;
+    let changed = trial.folder.path().join("changed.las");
+    fs::write(&changed, las_like(&bytes, &records)).unwrap();
+    assert_ne!(trial.digest(&[vec![&changed]], &[]), expected);
+}
+
+#[test]
+fn a_rerun_adds_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = tile(folder.path());
+    let store = folder.path().join("s.esker");
+    let arguments = ["ingest", store.to_str().unwrap(), path.to_str().unwrap(), "--json"];
+    esker_ok(&arguments);
+    let before = esker_ok(&["digest", store.to_str().unwrap()]);
+    let report: serde_json::Value = serde_json::from_str(&esker_ok(&arguments)).unwrap();
+    assert_eq!(report["points"], 0);
+    assert_eq!(report["skipped"].as_array().unwrap().len(), 1);
+    assert_eq!(esker_ok(&["digest", store.to_str().unwrap()]), before);
+}

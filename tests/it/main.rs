@@ -1,0 +1,7 @@
+//! All integration tests in one binary, so that SQLite and wgpu are linked once.
+
+mod bad_input;
+mod canonical;
+mod fidelity;
+mod floors;
+mod support;

@@ -1,0 +1,173 @@
+//! What the integration tests share: where the real files are, and a reader of LAS and LAZ that is not Esker's.
+
+use std::fs;
+use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The folder of real point clouds, if there is one.
+pub fn data_folder() -> Option<PathBuf> {
+    let folder = match std::env::var_os("ESKER_DATA") {
+        Some(folder) => PathBuf::from(folder),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+    };
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!("no real point clouds at {}: this test has nothing to read", folder.display());
+    None
+}
+
+/// All files below the data folder with one of these endings, sorted.
+pub fn data_files(endings: &[&str]) -> Vec<PathBuf> {
+    fn walk(folder: &Path, endings: &[&str], found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                walk(&path, endings, found);
+            } else if path.extension().and_then(|e| e.to_str()).is_some_and(|e| endings.contains(&e)) {
+                found.push(path);
+            }
+        }
+    }
+    let mut found = Vec::new();
+    if let Some(folder) = data_folder() {
+        walk(&folder, endings, &mut found);
+    }
+    found.sort();
+    found
+}
+
+/// A LAS or LAZ file as raw records, decoded by the `las` and `laz` crates alone.
+pub struct RawLas {
+    pub header: las::raw::Header,
+    pub records: Vec<Vec<u8>>,
+}
+
+impl RawLas {
+    /// Reads `path`; `None` if these crates can't.
+    pub fn read(path: &Path) -> Option<Self> {
+        let bytes = fs::read(path).ok()?;
+        let mut cursor = Cursor::new(bytes.as_slice());
+        let header = las::raw::Header::read_from(&mut cursor).ok()?;
+        let size = usize::from(header.point_data_record_length);
+        let legacy = u64::from(header.number_of_point_records);
+        let count = match &header.large_file {
+            Some(large) if large.number_of_point_records > 0 => large.number_of_point_records,
+            _ => legacy,
+        };
+        let compressed = header.point_data_record_format & 0x80 != 0;
+        let start = u64::from(header.offset_to_point_data);
+        let mut data = vec![0; size.checked_mul(usize::try_from(count).ok()?)?];
+        if compressed {
+            let vlr = laszip_vlr(&bytes, &header)?;
+            cursor.seek(SeekFrom::Start(start)).ok()?;
+            let decoded = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+                let mut decompressor = laz::LasZipDecompressor::new(cursor, vlr).ok()?;
+                decompressor.decompress_many(&mut data).ok()
+            }));
+            decoded.ok()??;
+        } else {
+            cursor.seek(SeekFrom::Start(start)).ok()?;
+            cursor.read_exact(&mut data).ok()?;
+        }
+        let records = if size == 0 { Vec::new() } else { data.chunks_exact(size).map(<[u8]>::to_vec).collect() };
+        Some(Self { header, records })
+    }
+
+    /// The records in an order that depends on nothing but themselves.
+    pub fn sorted(mut self) -> Vec<Vec<u8>> {
+        self.records.sort_unstable();
+        self.records
+    }
+}
+
+fn laszip_vlr(bytes: &[u8], header: &las::raw::Header) -> Option<laz::LazVlr> {
+    let mut at = usize::from(header.header_size);
+    for _ in 0..header.number_of_variable_length_records {
+        let head = bytes.get(at..at + 54)?;
+        let length = usize::from(u16::from_le_bytes([head[20], head[21]]));
+        let id = u16::from_le_bytes([head[18], head[19]]);
+        let body = bytes.get(at + 54..at + 54 + length)?;
+        if head[2..18].starts_with(b"laszip encoded") && id == 22204 {
+            return laz::LazVlr::from_buffer(body).ok();
+        }
+        at += 54 + length;
+    }
+    None
+}
+
+/// Runs the program.
+pub fn esker(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_esker")).args(arguments).output().unwrap()
+}
+
+/// Runs the program, which must succeed; its stdout.
+pub fn esker_ok(arguments: &[&str]) -> String {
+    let output = esker(arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "esker {arguments:?}: {}\n{stderr}", output.status);
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs the program, which must fail with `code` and one line on stderr that contains every one of `words`.
+pub fn esker_fails(arguments: &[&str], code: i32, words: &[&str]) {
+    let output = esker(arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "esker {arguments:?}\n{stderr}");
+    for word in words {
+        assert!(stderr.contains(word), "esker {arguments:?}: no '{word}' in\n{stderr}");
+    }
+    assert!(!stderr.contains("panicked") && !stderr.contains("RUST_BACKTRACE"), "{stderr}");
+    if code == 1 {
+        let errors = stderr.lines().filter(|l| l.starts_with("esker: ")).count();
+        assert!(errors >= 1 && stderr.lines().count() == errors, "not in one line: {stderr}");
+    }
+}
+
+/// An uncompressed LAS file like `original` with other records.
+pub fn las_like(original: &[u8], records: &[Vec<u8>]) -> Vec<u8> {
+    let start = u32::from_le_bytes(original[96..100].try_into().unwrap()) as usize;
+    let mut file = original[..start].to_vec();
+    let count = records.len() as u64;
+    let legacy = u32::from_le_bytes(original[107..111].try_into().unwrap());
+    if legacy > 0 {
+        file[107..111].copy_from_slice(&(count as u32).to_le_bytes());
+    }
+    if original[25] >= 4 {
+        // No EVLRs: they came after the points.
+        file[235..247].fill(0);
+        file[247..255].copy_from_slice(&count.to_le_bytes());
+    }
+    file.extend(records.iter().flatten());
+    file
+}
+
+/// A generator of numbers that is the same everywhere: seeds are printed by the tests that use it.
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        // SplitMix64.
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ z >> 31
+    }
+
+    pub fn below(&mut self, n: u64) -> u64 {
+        self.next() % n.max(1)
+    }
+
+    /// In `[0, 1)`.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for i in (1..items.len()).rev() {
+            items.swap(i, self.below(i as u64 + 1) as usize);
+        }
+    }
+}

@@ -1,0 +1,30 @@
+#!/bin/sh
+# Makes sure that a fresh Debian or Ubuntu machine has what Esker's build and pictures need.
+# As root it installs what is missing; otherwise it says what to install and stops.
+set -eu
+
+missing=""
+command -v cc >/dev/null 2>&1 || missing="$missing build-essential"
+# A Vulkan driver: any installed one will do, software (lavapipe) included.
+if ! ls /usr/share/vulkan/icd.d/*.json /etc/vulkan/icd.d/*.json >/dev/null 2>&1; then
+    missing="$missing mesa-vulkan-drivers"
+fi
+if ! ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1'; then
+    missing="$missing libvulkan1"
+fi
+
+if [ -n "$missing" ]; then
+    if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
+        echo "setup: installing$missing" >&2
+        # shellcheck disable=SC2086
+        (apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $missing) >&2
+    else
+        echo "setup: please install:$missing (Debian/Ubuntu: sudo apt-get install$missing)" >&2
+        exit 1
+    fi
+fi
+
+if ! command -v cargo >/dev/null 2>&1; then
+    echo "setup: cargo is missing: install Rust 1.90 or later from https://rustup.rs" >&2
+    exit 1
+fi

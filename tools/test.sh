@@ -1,0 +1,30 @@
+#!/bin/sh
+# Runs every check of the project: format, lints, tests, doc tests, examples. Sets the machine up first.
+#
+# Real point clouds are read from ../shared/data or $ESKER_DATA if they are there; a bare clone tests without them.
+# ESKER_SWEEP=1 adds the long sweeps (see docs/testing.md).
+set -eu
+cd "$(dirname "$0")/.."
+sh tools/setup.sh
+
+# Outside the clone, so that it survives between fresh clones.
+: "${CARGO_TARGET_DIR:=${XDG_CACHE_HOME:-$HOME/.cache}/esker/target}"
+: "${XDG_RUNTIME_DIR:=${TMPDIR:-/tmp}}"
+export CARGO_TARGET_DIR XDG_RUNTIME_DIR
+
+step() {
+    echo "== $*" >&2
+    "$@"
+}
+
+step cargo fmt --check
+step cargo clippy --locked --all-targets -- -D warnings
+step cargo clippy --locked --no-default-features -- -D warnings
+step cargo build --locked --bin esker
+step cargo test --locked --doc
+step cargo build --locked --examples
+if cargo nextest --version >/dev/null 2>&1; then
+    step cargo nextest run --locked --no-fail-fast
+else
+    step cargo test --locked --lib --bins --tests
+fi

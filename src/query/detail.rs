@@ -77,7 +77,8 @@ mod tests {
             let bound = |c| Metric::new([0.01, 0.01, 0.02]).step_bound(c, 7);
             assert!(bound(c) <= error && bound(c + 1) > error);
         }
-        for bad in [Detail::Spacing(0.0), Detail::Spacing(f64::NAN), Detail::MaxError(-1.0), Detail::MaxError(f64::NAN)] {
+        for bad in [Detail::Spacing(0.0), Detail::Spacing(f64::NAN), Detail::MaxError(-1.0), Detail::MaxError(f64::NAN)]
+        {
             assert!(bad.cell(root, 7, [0.01; 3]).is_err());
         }
     }

@@ -1,6 +1,7 @@
 //! What can be wrong with a query.
 
 use super::filter::FilterError;
+use crate::store::StoreError;
 use thiserror::Error;
 
 /// Why a query could not be answered.
@@ -42,6 +43,9 @@ pub enum QueryError {
         /// The nearest name that there is.
         nearest: Option<String>,
     },
+    /// The store could not be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// A row of the store contradicts another.
     #[error("node {node}: expected {expected}, found {found}; run `esker verify`")]
     Inconsistent {

@@ -34,6 +34,13 @@ impl Mask {
         Self { words: (0..len.div_ceil(64)).map(word).collect(), len }
     }
 
+    /// The points with these indices.
+    pub fn of_indices(len: usize, indices: impl Iterator<Item = usize>) -> Self {
+        let mut mask = Self::none(len);
+        indices.for_each(|i| mask.words[i / 64] |= 1 << (i % 64));
+        mask
+    }
+
     fn trim(&mut self) {
         if let (Some(last), rest @ 1..) = (self.words.last_mut(), self.len % 64) {
             *last &= (1 << rest) - 1;
@@ -119,6 +126,8 @@ mod tests {
             prop_assert_eq!(mask.is_all(), !a.contains(&false));
             prop_assert_eq!(Mask::all(a.len()).count(), a.len());
             prop_assert!(Mask::none(a.len()).is_none());
+            let again = Mask::of_indices(a.len(), mask.indices().into_iter().map(|i| i as usize));
+            prop_assert_eq!(&again, &mask);
             prop_assert!((0..a.len()).all(|i| mask.contains(i) == a[i]));
         }
     }

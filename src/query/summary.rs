@@ -84,9 +84,8 @@ impl Summary {
                 bytes
             });
             for i in 0..column.len() {
-                let lacking = |having: &Vec<ScanId>| {
-                    batch.scans.get(i).is_some_and(|scan| having.binary_search(scan).is_err())
-                };
+                let lacking =
+                    |having: &Vec<ScanId>| batch.scans.get(i).is_some_and(|scan| having.binary_search(scan).is_err());
                 if having.as_ref().is_some_and(lacking) || no_data.is_some_and(|n| column.raw(i) == n) {
                     continue;
                 }
@@ -119,7 +118,8 @@ mod tests {
         height.scaling = Some(Scaling { scale: 0.5, offset: 1.0 });
         height.no_data = Some((-1_i16).to_le_bytes().into_iter().chain([9; 6]).collect::<Vec<_>>().try_into().unwrap());
         let attributes = [height, Attribute::new("time", ScalarType::F64)];
-        let stored: Vec<_> = (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
+        let stored: Vec<_> =
+            (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
         let lattice = Lattice::uniform(0.25).unwrap();
         let mut summary = Summary::new(&lattice, &stored, |a| (a.id == 2).then(|| vec![7]));
         let positions: Positions = (0..4).map(|i| LatticePoint([BIAS as u64 + i; 3])).collect();

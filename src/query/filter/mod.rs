@@ -116,6 +116,11 @@ impl BoundFilter {
         slots
     }
 
+    /// Does it look at coordinates?
+    pub fn needs_positions(&self) -> bool {
+        looks_at_positions(&self.bound)
+    }
+
     /// The points of a block for which it is true.
     pub fn matching(&self, block: &Block) -> Mask {
         eval::matching(&self.bound, block)
@@ -135,5 +140,14 @@ fn collect(bound: &Bound, slots: &mut Vec<Slot>) {
         Bound::Null(sources) => slots.extend(sources.iter().map(|s| s.slot)),
         Bound::Pair(a, _, b) => slots.extend(a.iter().chain(b).map(|s| s.slot)),
         Bound::Axis(..) | Bound::Scans(_) => {}
+    }
+}
+
+fn looks_at_positions(bound: &Bound) -> bool {
+    match bound {
+        Bound::And(terms) | Bound::Or(terms) => terms.iter().any(looks_at_positions),
+        Bound::Not(inner) => looks_at_positions(inner),
+        Bound::Axis(..) => true,
+        Bound::Values(_) | Bound::Null(_) | Bound::Pair(..) | Bound::Scans(_) => false,
     }
 }

@@ -1,0 +1,269 @@
+//! Answers at a level: the least matching point of every cell that has one (OCTREE section 6).
+//!
+//! The unfiltered level is the points of the nodes that sample on these cells or coarser ones. Where the first point of a
+//! cell does not match, the cell is a hole, and the nodes below are searched for its least matching point, as far as they
+//! can still hold one.
+
+use super::QueryError;
+use super::part::{Look, Part};
+use super::plan::{Plan, Prospect, Scope};
+use crate::geometry::Containment;
+use crate::lattice::{Cube, Key, LatticeBox, LatticePoint};
+use crate::store::NodeIx;
+use rayon::prelude::*;
+
+/// A matching point and where it is stored. Within a layer these order as the points do: of equal keys the one in the
+/// coarser node comes first, then the one in the earlier part, and a part keeps the order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Pick {
+    pub key: Key,
+    pub node: NodeIx,
+    pub part: u32,
+    pub index: u32,
+}
+
+/// With more open cells than this, blocks are not tested against each of them.
+const FEW_HOLES: usize = 64;
+
+/// All matching points, in key order.
+pub(crate) fn everything(plan: &Plan) -> Result<Vec<Pick>, QueryError> {
+    let mut nodes = Vec::new();
+    plan.walk(|node| {
+        nodes.push(node);
+        Ok(true)
+    })?;
+    let read: Vec<Vec<Pick>> = nodes
+        .par_iter()
+        .map(|&node| {
+            let mut picks = Vec::new();
+            if plan.prospect(node, Scope::Own)? != Prospect::Nothing {
+                for part in 0..plan.index.head(node).parts.len() {
+                    read_part(plan, node, part, None, &mut picks, &mut Vec::new())?;
+                }
+            }
+            Ok(picks)
+        })
+        .collect::<Result<_, QueryError>>()?;
+    let mut picks = read.concat();
+    picks.par_sort_unstable();
+    Ok(picks)
+}
+
+/// The least matching point of every cell of exponent `c` that has one, in key order.
+pub(crate) fn filtered(plan: &Plan, c: u8) -> Result<Vec<Pick>, QueryError> {
+    let mut picks = Vec::new();
+    for layer in 0..plan.index.layers() {
+        let layer = u16::try_from(layer).unwrap_or(u16::MAX);
+        // The least of each layer, then the least of all: the union's is among them.
+        picks.extend(filtered_layer(plan, layer, c)?);
+    }
+    picks.par_sort_unstable();
+    picks.dedup_by_key(|p| p.key.prefix(c));
+    Ok(picks)
+}
+
+/// What the nodes at or above a level gave.
+#[derive(Default)]
+struct Above {
+    picks: Vec<Pick>,
+    /// Cells, by their least key, with a point that does not match.
+    missed: Vec<Key>,
+}
+
+fn filtered_layer(plan: &Plan, layer: u16, c: u8) -> Result<Vec<Pick>, QueryError> {
+    let Some(root) = plan.index.root(layer) else { return Ok(Vec::new()) };
+    let mut above = Vec::new();
+    let mut frontier = Vec::new();
+    plan.walk(|node| {
+        let head = plan.index.head(node);
+        if head.layer != layer {
+            return Ok(false);
+        }
+        let finer = i16::from(head.cube.k()) < i16::from(c) + i16::from(plan.g);
+        if finer && node != root {
+            return Ok(false);
+        }
+        above.push(node);
+        let lowest = finer || head.cube.k() == c + plan.g;
+        if lowest && !head.leaf {
+            frontier.push(node);
+        }
+        Ok(!lowest)
+    })?;
+    let read: Vec<Above> = above.par_iter().map(|&node| read_above(plan, node, c)).collect::<Result<_, _>>()?;
+    let (mut picks, mut missed) = (Vec::new(), Vec::new());
+    for Above { picks: p, missed: m } in read {
+        picks.extend(p);
+        missed.extend(m);
+    }
+    picks.par_sort_unstable();
+    picks.dedup_by_key(|p| p.key.prefix(c));
+    if missed.is_empty() {
+        return Ok(picks);
+    }
+    missed.par_sort_unstable();
+    missed.dedup();
+    let filled: Vec<Vec<Pick>> = frontier
+        .par_iter()
+        .map(|&node| {
+            let cube = plan.index.head(node).cube;
+            let from = missed.partition_point(|m| *m < cube.first_key().floor(c));
+            let to = missed.partition_point(|m| *m <= cube.last_key());
+            let mut holes: Vec<Hole> = missed[from..to].iter().map(|&floor| Hole::new(floor, c, &picks)).collect();
+            fill(plan, node, c, &mut holes)?;
+            Ok(holes.into_iter().filter_map(|h| h.found).collect())
+        })
+        .collect::<Result<_, QueryError>>()?;
+    filled.into_iter().for_each(|f| picks.extend(f));
+    picks.par_sort_unstable();
+    picks.dedup_by_key(|p| p.key.prefix(c));
+    Ok(picks)
+}
+
+/// The matching points of a node at or above the level, at most one a cell, and the cells of those that do not match.
+fn read_above(plan: &Plan, node: NodeIx, c: u8) -> Result<Above, QueryError> {
+    let head = plan.index.head(node);
+    let mut result = Above::default();
+    let complete = plan.takes_all_of(head.cube);
+    for (part, facts) in head.parts.iter().enumerate() {
+        // Where everything matches, a point that wins no such cell is the least of none.
+        if complete && facts.first_step.win < c as i8 {
+            continue;
+        }
+        read_part(plan, node, part, Some((c, !complete && !head.leaf)), &mut result.picks, &mut result.missed)?;
+    }
+    result.picks.sort_unstable();
+    if head.cube.k() >= c {
+        result.picks.dedup_by_key(|p| p.key.prefix(c));
+    }
+    Ok(result)
+}
+
+/// The box of the cells of exponent `c` that `bounds` meets.
+fn cells_of(bounds: &LatticeBox, c: u8) -> LatticeBox {
+    let side = (1_u64 << c) - 1;
+    LatticeBox {
+        min: LatticePoint(bounds.min.0.map(|v| v >> c << c)),
+        max: LatticePoint(bounds.max.0.map(|v| v | side)),
+    }
+}
+
+/// Appends the matching points of a part; with `misses` also the cells of exponent `c` of those that do not match, as
+/// far as the cells meet the region.
+fn read_part(
+    plan: &Plan,
+    node: NodeIx,
+    part: usize,
+    cells: Option<(u8, bool)>,
+    picks: &mut Vec<Pick>,
+    missed: &mut Vec<Key>,
+) -> Result<(), QueryError> {
+    let outside = |bounds: &LatticeBox| plan.region.classify(bounds) == Containment::Outside;
+    let misses = cells.filter(|(_, misses)| *misses).map(|(c, _)| c);
+    let skips = |bounds: &LatticeBox| match misses {
+        Some(c) => outside(&cells_of(bounds, c)),
+        None => outside(bounds),
+    };
+    let look = Look { skips: &skips, misses: misses.is_some(), positions: true };
+    for found in Part::new(plan, node, part)?.find(&look)? {
+        let first = (found.block * crate::codec::BLOCK_POINTS) as u32;
+        for i in found.mask.indices() {
+            let key = Key::of(found.content.positions.point(i as usize));
+            picks.push(Pick { key, node, part: part as u32, index: first + i });
+        }
+        let Some(c) = misses else { continue };
+        if found.mask.is_all() {
+            continue;
+        }
+        for (i, point) in found.content.positions.iter().enumerate() {
+            if !found.mask.contains(i) && !outside(&cells_of(&LatticeBox::of(point), c)) {
+                missed.push(Key::of(point).floor(c));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A cell whose first point does not match.
+struct Hole {
+    /// The least key of the cell.
+    floor: Key,
+    bounds: LatticeBox,
+    /// The key of the least matching point so far.
+    best: Option<Key>,
+    /// That point, if it was found below.
+    found: Option<Pick>,
+}
+
+impl Hole {
+    fn new(floor: Key, c: u8, picks: &[Pick]) -> Self {
+        let at = picks.partition_point(|p| p.key < floor);
+        let best = picks.get(at).filter(|p| p.key.floor(c) == floor).map(|p| p.key);
+        Self { floor, bounds: Cube::containing(floor.point(), c).to_box(), best, found: None }
+    }
+
+    /// Can a point of this cube be less than what was found? Of equal keys the one above is less, but that is decided
+    /// when the point is there.
+    fn is_open(&self, cube: Cube, bounds: &LatticeBox) -> bool {
+        self.best.is_none_or(|best| best >= self.floor.max(cube.first_key())) && self.bounds.meets(bounds)
+    }
+}
+
+/// Searches the nodes below `node` for the least matching points of the holes, which ascend.
+fn fill(plan: &Plan, node: NodeIx, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
+    let head = plan.index.head(node);
+    let mut children: Vec<NodeIx> = plan.index.children(node).collect();
+    children.sort_by_key(|&n| plan.index.head(n).cube.first_key());
+    debug_assert!(children.len() <= usize::from(head.children.count_ones() as u8));
+    for child in children {
+        let head = plan.index.head(child);
+        let cube = head.cube;
+        let from = holes.partition_point(|h| h.floor < cube.first_key().floor(c));
+        let to = holes.partition_point(|h| h.floor <= cube.last_key());
+        let holes = &mut holes[from..to];
+        let open = holes.iter().filter(|h| h.is_open(cube, &head.subtree_bounds)).count();
+        if open == 0 || plan.prospect(child, Scope::Subtree)? == Prospect::Nothing {
+            continue;
+        }
+        if plan.prospect(child, Scope::Own)? != Prospect::Nothing {
+            fill_from(plan, child, c, holes, open <= FEW_HOLES)?;
+        }
+        if !head.leaf {
+            fill(plan, child, c, holes)?;
+        }
+    }
+    Ok(())
+}
+
+/// Offers the matching points of one node to the holes.
+fn fill_from(plan: &Plan, node: NodeIx, c: u8, holes: &mut [Hole], few: bool) -> Result<(), QueryError> {
+    let head = plan.index.head(node);
+    for part in 0..head.parts.len() {
+        let mut candidates = Vec::new();
+        {
+            let holes = &*holes;
+            let skips = |bounds: &LatticeBox| {
+                plan.region.classify(bounds) == Containment::Outside
+                    || few && !holes.iter().any(|h| h.is_open(head.cube, bounds))
+            };
+            let look = Look { skips: &skips, misses: false, positions: true };
+            for found in Part::new(plan, node, part)?.find(&look)? {
+                let first = (found.block * crate::codec::BLOCK_POINTS) as u32;
+                for i in found.mask.indices() {
+                    let key = Key::of(found.content.positions.point(i as usize));
+                    candidates.push(Pick { key, node, part: part as u32, index: first + i });
+                }
+            }
+        }
+        for pick in candidates {
+            let floor = pick.key.floor(c);
+            if let Ok(i) = holes.binary_search_by_key(&floor, |h| h.floor)
+                && holes[i].best.is_none_or(|best| pick.key < best)
+            {
+                holes[i].best = Some(pick.key);
+                holes[i].found = Some(pick);
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,242 @@
+//! A query on one snapshot: names looked up, numbers on the lattice, and what nodes can hold by their rows alone.
+
+use super::answer::Meter;
+use super::filter::{BoundFilter, Known, Names, attributes_named};
+use super::region::LatticeRegion;
+use super::{Attributes, Query, QueryError, error::nearest};
+use crate::geometry::Containment;
+use crate::lattice::{BITS, Cube, Lattice};
+use crate::octree::Metric;
+use crate::points::{Attribute, ScalarType};
+use crate::store::model::{ScanId, Slot, StoredAttribute};
+use crate::store::{NodeIndex, NodeIx, Snapshot};
+use std::sync::Arc;
+
+/// A query, ready to run.
+pub(crate) struct Plan {
+    pub snapshot: Snapshot,
+    pub index: Arc<NodeIndex>,
+    pub lattice: Lattice,
+    pub g: u8,
+    pub region: LatticeRegion,
+    pub filter: Option<BoundFilter>,
+    /// What the filter looks at.
+    pub filter_columns: Vec<(Slot, ScalarType)>,
+    /// The scans whose points match, ascending; `None`: all.
+    pub scans: Option<Vec<ScanId>>,
+    /// What is returned, in this order.
+    pub columns: Vec<StoredAttribute>,
+    /// The same, as batches carry it.
+    pub attributes: Arc<[Attribute]>,
+    /// Are the scans of the points returned?
+    pub with_scans: bool,
+    pub meter: Meter,
+}
+
+/// What is known of some points by the rows alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Prospect {
+    /// None of them matches.
+    Nothing,
+    /// Some may match.
+    Some,
+    /// All of them match.
+    Everything,
+}
+
+/// Which points of a node are meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scope {
+    /// Those that it stores.
+    Own,
+    /// Those and all below.
+    Subtree,
+}
+
+impl Plan {
+    pub fn new(query: &Query, snapshot: &Snapshot) -> Result<Self, QueryError> {
+        let site = snapshot.site();
+        let names = Names { attributes: snapshot.attributes(), scans: snapshot.scans(), lattice: &site.lattice };
+        let filter = query.filter.as_ref().map(|f| f.bind(&names)).transpose()?;
+        let slots = filter.as_ref().map_or_else(Vec::new, BoundFilter::slots);
+        let filter_columns = slots.into_iter().filter_map(|s| Some((s, snapshot.attribute(s)?.attribute.ty))).collect();
+        let scans = matching_scans(query, snapshot)?;
+        let columns = columns(&query.attributes, scans.as_deref(), snapshot)?;
+        let attributes = columns.iter().map(|c| c.attribute.clone()).collect();
+        Ok(Self {
+            snapshot: snapshot.clone(),
+            index: snapshot.index()?,
+            lattice: site.lattice.clone(),
+            g: site.g,
+            region: query.region.on_lattice(&site.lattice),
+            filter,
+            filter_columns,
+            scans,
+            columns,
+            attributes,
+            with_scans: query.with_scans,
+            meter: Meter::default(),
+        })
+    }
+
+    /// Lengths in CRS units.
+    pub fn metric(&self) -> Metric {
+        Metric::new(self.lattice.quantum_f64())
+    }
+
+    /// The largest root of all layers.
+    pub fn root(&self) -> Option<Cube> {
+        self.index.roots().map(|r| self.index.head(r).cube).max_by_key(|c| c.k())
+    }
+
+    /// Does every point match that lies inside the region?
+    pub fn is_unfiltered(&self) -> bool {
+        self.filter.is_none() && self.scans.is_none()
+    }
+
+    /// Does every point of the cube match, whoever stores it?
+    pub fn takes_all_of(&self, cube: Cube) -> bool {
+        self.is_unfiltered() && self.region.classify(&cube.to_box()) == Containment::Inside
+    }
+
+    /// What a node, or its subtree, can hold.
+    pub fn prospect(&self, node: NodeIx, scope: Scope) -> Result<Prospect, QueryError> {
+        let head = self.index.head(node);
+        let bounds = match scope {
+            Scope::Own => match &head.own_bounds {
+                Some(bounds) => bounds,
+                None => return Ok(Prospect::Nothing),
+            },
+            Scope::Subtree => &head.subtree_bounds,
+        };
+        let placed = self.region.classify(bounds);
+        if placed == Containment::Outside {
+            return Ok(Prospect::Nothing);
+        }
+        let count = |s: &crate::store::model::ScanCount| if scope == Scope::Own { s.own } else { s.subtree };
+        let here = || head.scans.iter().filter(|s| count(s) > 0).map(|s| s.scan);
+        let mut all = placed == Containment::Inside;
+        if let Some(scans) = &self.scans {
+            let among = |s: ScanId| scans.binary_search(&s).is_ok();
+            if !here().any(among) {
+                return Ok(Prospect::Nothing);
+            }
+            all &= here().all(among);
+        }
+        if let Some(filter) = &self.filter {
+            let zones = self.snapshot.zones(node)?;
+            let ranges = if scope == Scope::Own { &zones.own } else { &zones.subtree };
+            let scans: Vec<ScanId> = here().collect();
+            if !filter.may_match(&Known { ranges, scans: &scans, bounds }) {
+                return Ok(Prospect::Nothing);
+            }
+            all = false;
+        }
+        Ok(if all { Prospect::Everything } else { Prospect::Some })
+    }
+
+    /// Calls `visit` for every node whose subtree can match, in pre-order; `visit` says whether to go on below it.
+    pub fn walk(&self, mut visit: impl FnMut(NodeIx) -> Result<bool, QueryError>) -> Result<(), QueryError> {
+        let mut visited = 0;
+        for layer in 0..self.index.layers() {
+            let nodes = self.index.layer(u16::try_from(layer).unwrap_or(u16::MAX));
+            let mut node = nodes.start;
+            while node < nodes.end {
+                visited += 1;
+                let skip = self.prospect(node, Scope::Subtree)? == Prospect::Nothing || !visit(node)?;
+                node = if skip { self.index.subtree(node).end } else { node + 1 };
+            }
+        }
+        Meter::add(&self.meter.nodes_visited, visited);
+        Ok(())
+    }
+
+    /// At most how many points an answer has: at each cell exponent, and in all.
+    pub fn most_points(&self) -> Result<MostPoints, QueryError> {
+        let mut most = MostPoints { by_cell: [0; BITS as usize + 1], all: 0 };
+        self.walk(|node| {
+            let head = self.index.head(node);
+            let own = match &self.scans {
+                None => head.own_points,
+                // The winner of a cell may be of any scan, so cells are counted in full.
+                Some(scans) => head.scans.iter().filter(|s| scans.binary_search(&s.scan).is_ok()).map(|s| s.own).sum(),
+            };
+            if self.prospect(node, Scope::Own)? != Prospect::Nothing {
+                most.all += own;
+            }
+            let is_root = self.index.parent(node).is_none();
+            let finest = if is_root { BITS } else { head.cube.k().saturating_sub(self.g) };
+            most.by_cell[..=usize::from(finest)].iter_mut().for_each(|n| *n += head.own_points);
+            Ok(true)
+        })?;
+        Ok(most)
+    }
+
+    /// Does the region lie outside everything that is stored?
+    pub fn region_misses_site(&self) -> bool {
+        let outside = |r| self.region.classify(&self.index.head(r).subtree_bounds) == Containment::Outside;
+        !self.index.is_empty() && self.index.roots().all(outside)
+    }
+}
+
+/// Upper limits of the number of matching points.
+pub(crate) struct MostPoints {
+    /// Of those that an answer at this cell exponent has.
+    pub by_cell: [u64; BITS as usize + 1],
+    /// Of all.
+    pub all: u64,
+}
+
+/// The scans that are asked for by name, or all visible ones; `None` if that is all.
+fn matching_scans(query: &Query, snapshot: &Snapshot) -> Result<Option<Vec<ScanId>>, QueryError> {
+    let all = snapshot.scans();
+    let mut scans: Vec<ScanId> = match &query.scans {
+        None => all.iter().filter(|s| s.visible).map(|s| s.id).collect(),
+        Some(names) => {
+            let by_name = |name: &String| {
+                let found = all.iter().find(|s| s.name == *name);
+                let found = found.or_else(|| all.iter().find(|s| name.parse() == Ok(s.id)));
+                found.map(|s| s.id).ok_or_else(|| QueryError::UnknownScan {
+                    name: name.clone(),
+                    nearest: nearest(name, all.iter().map(|s| s.name.as_str())),
+                })
+            };
+            names.iter().map(by_name).collect::<Result<_, _>>()?
+        }
+    };
+    scans.sort_unstable();
+    scans.dedup();
+    Ok((scans.len() < all.len()).then_some(scans))
+}
+
+/// The attributes to return, in canonical order: name, then type.
+fn columns(
+    asked: &Attributes,
+    scans: Option<&[ScanId]>,
+    snapshot: &Snapshot,
+) -> Result<Vec<StoredAttribute>, QueryError> {
+    let all = snapshot.attributes();
+    let mut columns: Vec<StoredAttribute> = match asked {
+        Attributes::None => Vec::new(),
+        Attributes::All => {
+            let contributing = snapshot.scans().iter().filter(|s| scans.is_none_or(|ids| ids.contains(&s.id)));
+            let slots: std::collections::BTreeSet<Slot> = contributing.flat_map(|s| s.attributes.clone()).collect();
+            all.iter().filter(|a| slots.contains(&a.id)).cloned().collect()
+        }
+        Attributes::Named(names) => {
+            let mut columns = Vec::new();
+            for name in names {
+                let found = attributes_named(name, all);
+                if found.is_empty() {
+                    let nearest = nearest(name, all.iter().map(|a| a.attribute.name.as_str()));
+                    return Err(QueryError::UnknownAttribute { name: name.clone(), nearest });
+                }
+                columns.extend(found.into_iter().cloned());
+            }
+            columns
+        }
+    };
+    columns.sort_by(|a, b| a.attribute.identity().cmp(&b.attribute.identity()));
+    columns.dedup_by_key(|c| c.id);
+    Ok(columns)
+}

@@ -1,0 +1,124 @@
+//! What is asked for.
+
+use super::{Detail, Filter, Region};
+use crate::geometry::Camera;
+
+/// Which attributes an answer has.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Attributes {
+    /// All that the contributing scans have.
+    #[default]
+    All,
+    /// Positions alone.
+    None,
+    /// Those of these names, looked up as in a filter; a name stands for all types it has.
+    Named(Vec<String>),
+}
+
+/// *Region and filter at detail, giving attributes.* Without anything said: every point of every visible scan, with all
+/// attributes.
+///
+/// ```
+/// use esker::lattice::Lattice;
+/// use esker::query::{Detail, Filter, Query, Region};
+/// use esker::store::{SiteOptions, Store};
+///
+/// # let store = Store::in_memory(SiteOptions::new(Lattice::uniform(0.001)?))?;
+/// let snapshot = store.snapshot()?;
+/// let query = Query::new()
+///     .region(Region::new_box([0.0, 0.0, -5.0], [100.0, 50.0, 20.0])?)
+///     .filter(Filter::parse("Z between 1.5 and 3 or Z < 0")?)
+///     .detail(Detail::MaxError(0.05))
+///     .capacity(1_000_000);
+/// let mut points = 0;
+/// let answer = query.run(&snapshot, |batch| {
+///     points += batch.len() as u64;
+///     std::ops::ControlFlow::Continue(())
+/// })?;
+/// assert_eq!(answer.points, points);
+/// assert_eq!(answer.error_bound, Some(0.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Query {
+    pub(super) region: Region,
+    pub(super) filter: Option<Filter>,
+    pub(super) scans: Option<Vec<String>>,
+    pub(super) detail: Detail,
+    pub(super) capacity: Option<u64>,
+    pub(super) attributes: Attributes,
+    pub(super) with_scans: bool,
+    pub(super) view: Option<(Camera, f64)>,
+}
+
+impl Query {
+    /// Everything.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Only what is inside.
+    #[must_use]
+    pub fn region(mut self, region: Region) -> Self {
+        self.region = region;
+        self
+    }
+
+    /// Only points for which this is true.
+    #[must_use]
+    pub fn filter(mut self, filter: Filter) -> Self {
+        self.filter = Some(filter);
+        self
+    }
+
+    /// Only points of these scans, by name or number, also if they are hidden.
+    #[must_use]
+    pub fn scans<S: Into<String>>(mut self, scans: impl IntoIterator<Item = S>) -> Self {
+        self.scans = Some(scans.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// How fine.
+    #[must_use]
+    pub fn detail(mut self, detail: Detail) -> Self {
+        self.detail = detail;
+        self
+    }
+
+    /// At most so many points: the first of one fixed sequence, so that answers to larger capacities hold those to
+    /// smaller ones.
+    #[must_use]
+    pub fn capacity(mut self, points: u64) -> Self {
+        self.capacity = Some(points);
+        self
+    }
+
+    /// Only these attributes, looked up as in a filter.
+    #[must_use]
+    pub fn attributes<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
+        self.attributes = Attributes::Named(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Positions alone.
+    #[must_use]
+    pub fn positions_only(mut self) -> Self {
+        self.attributes = Attributes::None;
+        self
+    }
+
+    /// Is every point to carry the id of its scan?
+    #[must_use]
+    pub fn with_scans(mut self, with_scans: bool) -> Self {
+        self.with_scans = with_scans;
+        self
+    }
+
+    /// What a camera needs: whole parts of the nodes in its view, coarse to fine, until every node's spacing is at most
+    /// `max_error_px` pixels or the capacity is used.
+    #[must_use]
+    pub fn view(mut self, camera: Camera, max_error_px: f64) -> Self {
+        self.view = Some((camera, max_error_px));
+        self
+    }
+}

@@ -1,0 +1,320 @@
+//! Which parts a camera needs: best first, from the rows alone (DESIGN section 7, OCTREE section 7).
+//!
+//! A node is begun only when its parent is fully taken, and its parts follow in order; the next node is the one whose
+//! spacing is largest on the image. The sequence depends on the camera and the pixel threshold, never on the capacity,
+//! which only says where it ends.
+
+use crate::geometry::{Camera, Containment, DVec3, Frustum, WorldBox};
+use crate::lattice::{BIAS, BITS, Lattice, LatticeBox, NodeKey};
+use crate::octree::{Metric, Step};
+use crate::store::model::NodeHead;
+use crate::store::{NodeIndex, NodeIx};
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
+
+/// The parts chosen for a view, coarse to fine.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Selection {
+    /// What to take, in the order of the sequence.
+    pub parts: Vec<SelectedPart>,
+    /// Points of all parts together.
+    pub points: u64,
+    /// Every visible point of the store has a selected one within this distance, in CRS units; `None` if nothing is
+    /// selected of something.
+    pub error_bound: Option<f64>,
+    /// The same in pixels, at the centre of the image.
+    pub error_bound_px: Option<f64>,
+    /// Nodes whose rows were looked at.
+    pub nodes_visited: u64,
+}
+
+/// A part of a node, or an even thinning of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SelectedPart {
+    /// The node.
+    pub node: NodeIx,
+    /// The part.
+    pub part: u32,
+    /// How many of its points: the first so many of [`crate::octree::even_order`] over the part.
+    pub points: u32,
+}
+
+/// Selects for a camera at most `capacity` points, until every node is finer than `max_error_px` on the image.
+///
+/// Looks at the index only, a microsecond or so a node.
+pub fn select_view(
+    index: &NodeIndex,
+    lattice: &Lattice,
+    g: u8,
+    camera: &Camera,
+    max_error_px: f64,
+    capacity: Option<u64>,
+) -> Selection {
+    let mut cut = ViewCut::new(index, lattice, g, camera, max_error_px, |_| true);
+    let mut selection = Selection::default();
+    let mut left = capacity.unwrap_or(u64::MAX);
+    while left > 0 {
+        let Some((node, part)) = cut.advance() else { break };
+        let all = index.head(node).parts[part].points;
+        let points = u32::try_from(left).unwrap_or(u32::MAX).min(all);
+        if points < all {
+            cut.take_back();
+        }
+        left -= u64::from(points);
+        selection.points += u64::from(points);
+        selection.parts.push(SelectedPart { node, part: part as u32, points });
+    }
+    let (bound, bound_px) = cut.bounds(selection.points > 0);
+    (selection.error_bound, selection.error_bound_px) = (bound, bound_px);
+    selection.nodes_visited = cut.visited;
+    selection
+}
+
+/// The state of a best-first cut.
+pub(crate) struct ViewCut<'a, F> {
+    index: &'a NodeIndex,
+    lattice: RelativeLattice,
+    g: u8,
+    camera: &'a Camera,
+    frustum: Frustum,
+    max_error_px: f64,
+    may: F,
+    metric: Metric,
+    quantum: f64,
+    heap: BinaryHeap<Waiting>,
+    /// The node whose parts are being taken, its distance, and how many parts are taken.
+    current: Option<(NodeIx, f64, usize)>,
+    /// The largest bounds of what is left below the threshold for good.
+    settled: (f64, f64),
+    visited: u64,
+}
+
+/// A node that is worth taking, whose parent is fully taken.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    /// Pixels of its spacing at its nearest point.
+    spacing_px: f64,
+    k: u8,
+    key: Reverse<(NodeKey, u16)>,
+    node: NodeIx,
+    distance: f64,
+}
+
+impl Ord for Waiting {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.spacing_px.total_cmp(&other.spacing_px).then(self.k.cmp(&other.k)).then(self.key.cmp(&other.key))
+    }
+}
+
+impl PartialOrd for Waiting {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Waiting {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Waiting {}
+
+impl<'a, F: FnMut(NodeIx) -> bool> ViewCut<'a, F> {
+    /// Before the first node. Subtrees for which `may` says no are as if they were not there.
+    pub fn new(index: &'a NodeIndex, lattice: &Lattice, g: u8, camera: &'a Camera, max_error_px: f64, may: F) -> Self {
+        let mut cut = Self {
+            index,
+            lattice: RelativeLattice::new(lattice, camera.eye()),
+            g,
+            camera,
+            frustum: camera.frustum(),
+            max_error_px,
+            may,
+            metric: Metric::new(lattice.quantum_f64()),
+            quantum: lattice.largest_quantum(),
+            heap: BinaryHeap::new(),
+            current: None,
+            settled: (0.0, 0.0),
+            visited: 0,
+        };
+        for root in index.roots() {
+            if let Some(distance) = cut.visible(root) {
+                cut.wait(root, distance);
+            }
+        }
+        cut
+    }
+
+    /// The distance of a subtree from the eye, if any of it can be on the image.
+    fn visible(&mut self, node: NodeIx) -> Option<f64> {
+        self.visited += 1;
+        let relative = self.lattice.relative(&self.index.head(node).subtree_bounds)?;
+        let seen = self.frustum.classify(&relative) != Containment::Outside && (self.may)(node);
+        // What is nearer than the near plane is not seen.
+        let near = self.camera.near();
+        seen.then(|| relative.distance_to(DVec3::ZERO).max(near))
+    }
+
+    fn spacing_px(&self, cell: i16, distance: f64) -> f64 {
+        self.camera.pixels_of_length(2_f64.powi(cell.into()) * self.quantum, distance)
+    }
+
+    fn wait(&mut self, node: NodeIx, distance: f64) {
+        let head = self.index.head(node);
+        let k = head.cube.k();
+        let spacing_px = self.spacing_px(i16::from(k) - i16::from(self.g), distance);
+        self.heap.push(Waiting { spacing_px, k, key: Reverse((head.cube.node_key(), head.layer)), node, distance });
+    }
+
+    /// The next part of the sequence.
+    pub fn advance(&mut self) -> Option<(NodeIx, usize)> {
+        loop {
+            if let Some((node, distance, taken)) = self.current {
+                let head = self.index.head(node);
+                if taken == head.parts.len() {
+                    self.current = None;
+                    if !head.leaf {
+                        self.open_children(node);
+                    }
+                    continue;
+                }
+                if self.is_fine_enough(head, taken, distance) {
+                    let bound = self.metric.after_parts(head, taken);
+                    self.settle(bound, distance);
+                    self.current = None;
+                    continue;
+                }
+                self.current = Some((node, distance, taken + 1));
+                return Some((node, taken));
+            }
+            let next = self.heap.pop()?;
+            self.current = Some((next.node, next.distance, 0));
+        }
+    }
+
+    /// Unsays the last [`ViewCut::advance`]: the part is not wholly taken.
+    pub fn take_back(&mut self) {
+        if let Some((_, _, taken)) = &mut self.current {
+            *taken = taken.saturating_sub(1);
+        }
+    }
+
+    /// Once some parts are taken, is what is left below the threshold?
+    fn is_fine_enough(&self, head: &NodeHead, taken: usize, distance: f64) -> bool {
+        let step = taken.checked_sub(1).and_then(|last| head.parts[last].last_step);
+        step.is_some_and(|Step { win, group }| {
+            let cell = i16::from(win) + i16::from(group < 3);
+            self.spacing_px(cell, distance) <= self.max_error_px
+        })
+    }
+
+    fn open_children(&mut self, node: NodeIx) {
+        let cell = self.index.head(node).cube.k() as i16 - i16::from(self.g);
+        for child in self.index.children(node) {
+            let Some(distance) = self.visible(child) else { continue };
+            if self.spacing_px(cell, distance) > self.max_error_px {
+                self.wait(child, distance);
+            } else {
+                self.settle(self.metric.step_bound(cell as i8, 7), distance);
+            }
+        }
+    }
+
+    fn settle(&mut self, bound: f64, distance: f64) {
+        let px = self.camera.pixels_of_length(bound, distance);
+        self.settled = (self.settled.0.max(bound), self.settled.1.max(px));
+    }
+
+    /// The bounds of what has been taken so far, in CRS units and in pixels; `any`: at least one point was.
+    pub fn bounds(&self, any: bool) -> (Option<f64>, Option<f64>) {
+        let mut bounds = self.settled;
+        let mut include = |bound: f64, distance: f64| {
+            bounds.0 = bounds.0.max(bound);
+            bounds.1 = bounds.1.max(self.camera.pixels_of_length(bound, distance));
+        };
+        for waiting in &self.heap {
+            match self.index.parent(waiting.node) {
+                None => return (None, None),
+                Some(parent) => {
+                    let cell = self.index.head(parent).cube.k() as i8 - self.g as i8;
+                    include(self.metric.step_bound(cell, 7), waiting.distance);
+                }
+            }
+        }
+        if let Some((node, distance, taken)) = self.current {
+            let head = self.index.head(node);
+            if taken < head.parts.len() {
+                if !any {
+                    return (None, None);
+                }
+                include(self.metric.after_parts(head, taken), distance);
+            } else if !head.leaf {
+                let cell = head.cube.k() as i8 - self.g as i8;
+                for child in self.index.children(node) {
+                    // Whether it is visible was not asked yet: assume that it is.
+                    let relative = self.lattice.relative(&self.index.head(child).subtree_bounds);
+                    let distance = relative.map_or(0.0, |r| r.distance_to(DVec3::ZERO));
+                    include(self.metric.step_bound(cell, 7), distance.max(self.camera.near()));
+                }
+            }
+        }
+        (Some(bounds.0), Some(bounds.1).filter(|px| px.is_finite()))
+    }
+
+    /// Is there nothing left that the threshold or the capacity left out?
+    pub fn is_complete(&self) -> bool {
+        let done = |(node, _, taken): (NodeIx, f64, usize)| {
+            let head = self.index.head(node);
+            taken == head.parts.len() && (head.leaf || head.children == 0)
+        };
+        self.heap.is_empty() && self.current.is_none_or(done) && self.settled == (0.0, 0.0)
+    }
+
+    /// Nodes whose rows were looked at.
+    pub fn visited(&self) -> u64 {
+        self.visited
+    }
+}
+
+trait AfterParts {
+    fn after_parts(&self, head: &NodeHead, taken: usize) -> f64;
+}
+
+impl AfterParts for Metric {
+    /// The bound once the first `taken` parts of a node are there, and of the next nothing for sure.
+    fn after_parts(&self, head: &NodeHead, taken: usize) -> f64 {
+        let complete = head.parts[..taken].iter().rev().find_map(|p| p.last_step);
+        match (complete, head.parts.first()) {
+            (Some(step), _) => self.after(step),
+            (None, Some(first)) => self.before(first.first_step),
+            (None, None) => 0.0,
+        }
+    }
+}
+
+/// Lattice coordinates relative to an eye, without the loss that world coordinates would bring.
+struct RelativeLattice {
+    /// A lattice point near the eye, and the eye minus its world coordinates.
+    anchor: [i64; 3],
+    rest: [f64; 3],
+    quantum: [f64; 3],
+}
+
+impl RelativeLattice {
+    fn new(lattice: &Lattice, eye: DVec3) -> Self {
+        let anchor: [i64; 3] = std::array::from_fn(|i| {
+            let beyond = if eye[i] < lattice.world_on_axis(i, BIAS as u64) { 0 } else { (1 << BITS) - 1 };
+            lattice.nearest_index(i, eye[i]).unwrap_or(beyond) as i64
+        });
+        let rest = std::array::from_fn(|i| eye[i] - lattice.world_on_axis(i, anchor[i] as u64));
+        Self { anchor, rest, quantum: lattice.quantum_f64() }
+    }
+
+    fn relative(&self, bounds: &LatticeBox) -> Option<WorldBox> {
+        let corner = |p: [u64; 3]| {
+            std::array::from_fn(|i| (p[i] as i64 - self.anchor[i]) as f64 * self.quantum[i] - self.rest[i])
+        };
+        WorldBox::new(corner(bounds.min.0), corner(bounds.max.0))
+    }
+}

@@ -19,7 +19,7 @@ fn read_all(path: &Path) -> Result<u64, FormatError> {
     for piece in source.pieces(target).into_iter().take(50) {
         let mut given = 0;
         let mut sink = |run: &[u8]| {
-            assert!(!run.is_empty() && run.len() % stride == 0 && run.len() <= (1 << 20).max(stride));
+            assert!(!run.is_empty() && run.len().is_multiple_of(stride) && run.len() <= (1 << 20).max(stride));
             given += (run.len() / stride) as u64;
             total += (run.len() / stride) as u64;
             total < ENOUGH

@@ -64,7 +64,7 @@ fn read_all(path: &Path, target: u64) -> Result<Whole, String> {
         assert_eq!(piece.first, next);
         next += piece.records;
         let mut sink = |run: &[u8]| {
-            assert!(run.len() <= (1 << 20).max(stride) && run.len() % stride == 0);
+            assert!(run.len() <= (1 << 20).max(stride) && run.len().is_multiple_of(stride));
             run.chunks_exact(stride).for_each(|record| whole.add(record));
             true
         };
@@ -130,9 +130,9 @@ fn real_files_hold_what_their_list_says() {
                 assert!(near(min[i], expected[0]) && near(max[i], expected[1]), "{name}");
             }
             if whole.read > 0 && !LYING_BOUNDS.contains(&name) {
-                for side in 0..2 {
-                    let difference = (whole.bounds[i][side] - expected[side]).abs();
-                    assert!(difference <= slack(i) + 1e-8 * expected[side].abs(), "{name}: {:?}", whole.bounds);
+                for (found, expected) in whole.bounds[i].iter().zip(expected) {
+                    let difference = (found - expected).abs();
+                    assert!(difference <= slack(i) + 1e-8 * expected.abs(), "{name}: {:?}", whole.bounds);
                 }
             }
         }

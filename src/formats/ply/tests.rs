@@ -90,7 +90,7 @@ fn sample(format: &str, axis: usize, list: bool) -> Vec<u8> {
     let mut file = header.into_bytes();
     let mut put = |value: usize, ty: ScalarType| {
         if format == "ascii" {
-            file.extend(format!("{value}{}", if value % 2 == 0 { " " } else { "\n" }).bytes());
+            file.extend(format!("{value}{}", if value.is_multiple_of(2) { " " } else { "\n" }).bytes());
             return;
         }
         let mut raw = match ty {

@@ -199,8 +199,7 @@ struct Output<'a> {
 impl Output<'_> {
     fn write_site(&mut self, folder: &Path, points: u64, seed: u64) -> Result<(), GenerateError> {
         std::fs::create_dir_all(folder).map_err(|source| GenerateError::Folder { path: folder.into(), source })?;
-        let (ending, format) =
-            if self.options.laz { ("laz", OutputFormat::Laz) } else { ("las", OutputFormat::Las) };
+        let (ending, format) = if self.options.laz { ("laz", OutputFormat::Laz) } else { ("las", OutputFormat::Las) };
         let scans = self.options.scans;
         let path = |i: u32| folder.join(format!("site_{}.{ending}", i + 1));
         // All or nothing: a name that is taken is found before anything is written.

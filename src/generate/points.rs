@@ -112,8 +112,7 @@ impl Points {
         let [class, edge, of, number, forward] = self.bytes.map(Column::U8);
         let [blue, green, intensity, source, red] = self.words.map(Column::U16);
         let (times, angles) = (Column::F64(self.times), Column::I16(self.angles));
-        let columns =
-            vec![blue, class, edge, times, green, intensity, of, source, red, number, angles, forward];
+        let columns = vec![blue, class, edge, times, green, intensity, of, source, red, number, angles, forward];
         Batch { attributes: attributes(), positions: self.positions, scans: Vec::new(), columns }
     }
 }

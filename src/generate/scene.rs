@@ -118,9 +118,7 @@ impl Scene {
         }
         let plots = (TREE_CELL / PLOT * cell.0 as f64, TREE_CELL / PLOT * cell.1 as f64);
         let building = self.building((plots.0.floor() as i64, plots.1.floor() as i64));
-        let clear = |b: Building| {
-            (0..2).any(|i| at[i] + radius < b.min[i] || at[i] - radius > b.max[i])
-        };
+        let clear = |b: Building| (0..2).any(|i| at[i] + radius < b.min[i] || at[i] - radius > b.max[i]);
         if !building.is_none_or(clear) {
             return None;
         }

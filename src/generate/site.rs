@@ -132,11 +132,12 @@ impl Scan {
 
     /// The distance at which a ray from the station enters a building's plan.
     fn entry(&self, direction: [f64; 2], b: &Building) -> f64 {
-        (0..2).map(|i| {
-            let face = if direction[i] > 0.0 { b.min[i] } else { b.max[i] };
-            if direction[i] == 0.0 { 0.0 } else { (face - self.station[i]) / direction[i] }
-        })
-        .fold(0.0, f64::max)
+        (0..2)
+            .map(|i| {
+                let face = if direction[i] > 0.0 { b.min[i] } else { b.max[i] };
+                if direction[i] == 0.0 { 0.0 } else { (face - self.station[i]) / direction[i] }
+            })
+            .fold(0.0, f64::max)
     }
 
     /// Appends what a column of `rays` rays in direction `turns` hits.

@@ -2,11 +2,10 @@
 
 use super::{Outcome, output};
 use crate::lattice::{Lattice, LatticeBox, LatticePoint};
-use crate::store::model::{SLOT_POSITION, SLOT_SCAN, Scan, Slot};
-use crate::store::{Snapshot, Store};
+use crate::store::model::Scan;
+use crate::store::{Info, Snapshot, Store, info};
 use clap::Args;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Says what a store holds: points, bounds, attributes and what they cost.
@@ -20,61 +19,41 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// What there is to say.
-struct Facts {
-    points: u64,
-    nodes: usize,
-    levels: u8,
-    root_spacing: Option<f64>,
-    bounds: Option<LatticeBox>,
-    /// Name, type, encoded bytes.
-    attributes: Vec<(String, &'static str, u64)>,
-    file_bytes: u64,
-    in_use: bool,
+/// What an attribute costs.
+struct Cost {
+    name: String,
+    ty: &'static str,
+    bytes: u64,
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open(&arguments.store)?;
     let snapshot = store.snapshot()?;
-    let facts = facts(&store, &snapshot)?;
+    let info = info(&snapshot)?;
     if arguments.json {
-        output::json(&as_json(&snapshot, &facts))?;
+        output::json(&as_json(&snapshot, &info))?;
     } else {
-        print(&snapshot, &facts)?;
+        print(&snapshot, &info)?;
     }
     Ok(Outcome::Done)
 }
 
-fn facts(store: &Store, snapshot: &Snapshot) -> anyhow::Result<Facts> {
-    let index = snapshot.index()?;
-    let mut bytes: BTreeMap<Slot, u64> = BTreeMap::new();
-    let mut packed = 0;
-    for part in index.heads().iter().flat_map(|h| &h.parts) {
-        for &(slot, length) in &part.chunks {
-            *bytes.entry(slot).or_default() += u64::from(length);
+fn costs(snapshot: &Snapshot, info: &Info) -> Vec<Cost> {
+    let mut costs = vec![Cost { name: "position".into(), ty: "3 x u48", bytes: info.position_bytes }];
+    for &(slot, bytes) in &info.attribute_bytes {
+        if let Some(a) = snapshot.attribute(slot) {
+            costs.push(Cost { name: a.attribute.name.clone(), ty: a.attribute.ty.word(), bytes });
         }
-        packed += u64::from(part.packed_bytes);
     }
-    let of = |slot| bytes.get(&slot).copied().unwrap_or(0);
-    let mut attributes = vec![("position".to_owned(), "3 x u48", of(SLOT_POSITION))];
-    for a in snapshot.attributes() {
-        attributes.push((a.attribute.name.clone(), a.attribute.ty.word(), of(a.id)));
-    }
-    attributes.push(("(scan ids)".to_owned(), "u32", of(SLOT_SCAN)));
-    attributes.push(("(small columns)".to_owned(), "-", packed));
-    let root = index.roots().map(|ix| index.head(ix).cube).max_by_key(|c| c.k());
-    let deepest = index.heads().iter().map(|h| h.cube.k()).min();
-    let quantum = snapshot.site().lattice.largest_quantum();
-    Ok(Facts {
-        points: snapshot.scans().iter().map(|s| s.stored).sum(),
-        nodes: index.len(),
-        levels: root.zip(deepest).map_or(0, |(r, d)| r.k() - d + 1),
-        root_spacing: root.map(|r| quantum * 2_f64.powi(i32::from(r.k()) - i32::from(snapshot.site().g))),
-        bounds: snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b)),
-        attributes,
-        file_bytes: store.path().and_then(|p| std::fs::metadata(p).ok()).map_or(0, |m| m.len()),
-        in_use: store.in_use(),
-    })
+    costs.push(Cost { name: "(scan of each point)".into(), ty: "u32", bytes: info.scan_bytes });
+    costs
+}
+
+/// The spacing of the samples that the root holds, in CRS units.
+fn root_spacing(snapshot: &Snapshot) -> Option<f64> {
+    let site = snapshot.site();
+    let root = site.roots.iter().flatten().map(|r| r.k()).max()?;
+    Some(site.lattice.largest_quantum() * 2_f64.powi(i32::from(root) - i32::from(site.g)))
 }
 
 /// World bounds whose maximum is one quantum up, so that they take everything when used as a half-open box.
@@ -114,18 +93,19 @@ pub(super) fn scan_json(scan: &Scan, lattice: &Lattice) -> Value {
     })
 }
 
-fn as_json(snapshot: &Snapshot, facts: &Facts) -> Value {
+fn as_json(snapshot: &Snapshot, info: &Info) -> Value {
     let site = snapshot.site();
-    let attributes: Vec<_> =
-        facts.attributes.iter().map(|(name, ty, bytes)| json!({ "name": name, "type": ty, "bytes": bytes })).collect();
-    let encoded: u64 = facts.attributes.iter().map(|a| a.2).sum();
+    let attributes: Vec<_> = costs(snapshot, info)
+        .into_iter()
+        .map(|c| json!({ "name": c.name, "type": c.ty, "bytes": c.bytes }))
+        .collect();
     json!({
-        "points": facts.points,
+        "points": info.points,
         "scans": snapshot.scans().len(),
-        "nodes": facts.nodes,
-        "levels": facts.levels,
-        "root_spacing": facts.root_spacing,
-        "bounds": bounds_json(&site.lattice, facts.bounds.as_ref()),
+        "nodes": info.nodes,
+        "levels": info.levels,
+        "root_spacing": root_spacing(snapshot),
+        "bounds": bounds_json(&site.lattice, info.bounds.as_ref()),
         "quantum": site.lattice.quantum_f64(),
         "phase": site.lattice.phase().map(crate::lattice::Decimal::to_f64),
         "crs": site.crs.as_ref().map(|c| json!({
@@ -136,11 +116,11 @@ fn as_json(snapshot: &Snapshot, facts: &Facts) -> Value {
         })),
         "unit": site.crs.as_ref().and_then(|c| c.unit_name()),
         "attributes": attributes,
-        "bytes_total": facts.file_bytes,
-        "bytes_encoded": encoded,
-        "bytes_per_point": per_point(facts.file_bytes, facts.points),
+        "bytes_total": info.total_bytes,
+        "bytes_encoded": info.chunk_bytes,
+        "bytes_per_point": per_point(info.total_bytes, info.points),
         "generation": site.generation,
-        "in_use": facts.in_use,
+        "in_use": info.in_use,
     })
 }
 
@@ -148,17 +128,17 @@ fn per_point(bytes: u64, points: u64) -> f64 {
     if points == 0 { 0.0 } else { bytes as f64 / points as f64 }
 }
 
-fn print(snapshot: &Snapshot, facts: &Facts) -> std::io::Result<()> {
+fn print(snapshot: &Snapshot, info: &Info) -> std::io::Result<()> {
     let site = snapshot.site();
     let unit = site.crs.as_ref().and_then(|c| c.unit_name()).unwrap_or("unit unknown");
-    output::line(format_args!("points       {}", output::grouped(facts.points)))?;
+    output::line(format_args!("points       {}", output::grouped(info.points)))?;
     output::line(format_args!("scans        {}", snapshot.scans().len()))?;
-    output::line(format_args!("nodes        {} on {} levels", output::grouped(facts.nodes as u64), facts.levels))?;
+    output::line(format_args!("nodes        {} on {} levels", output::grouped(info.nodes), info.levels))?;
     output::line(format_args!("lattice      {} ({unit})", super::ingest::describe(&site.lattice)))?;
-    if let Some(spacing) = facts.root_spacing {
+    if let Some(spacing) = root_spacing(snapshot) {
         output::line(format_args!("spacing      {spacing} at the root"))?;
     }
-    if let Some(bounds) = &facts.bounds {
+    if let Some(bounds) = &info.bounds {
         let (min, max) = world_bounds(&site.lattice, bounds);
         let text = |c: [f64; 3]| format!("{},{},{}", c[0], c[1], c[2]);
         output::line(format_args!("bounds       {},{}", text(min), text(max)))?;
@@ -167,27 +147,26 @@ fn print(snapshot: &Snapshot, facts: &Facts) -> std::io::Result<()> {
     output::line(format_args!("crs          {}", output::clean(&crs)))?;
     output::line(format_args!(
         "file         {} ({:.2} bytes a point)",
-        output::bytes(facts.file_bytes),
-        per_point(facts.file_bytes, facts.points)
+        output::bytes(info.total_bytes),
+        per_point(info.total_bytes, info.points)
     ))?;
     output::line(format_args!("generation   {}", site.generation))?;
-    if facts.in_use {
+    if info.in_use {
         output::line("in use       yes: don't copy the file now")?;
     }
     output::line(format_args!("{:32} {:8} {:>12} {:>12}", "attribute", "type", "bytes", "bytes/point"))?;
-    for (name, ty, bytes) in &facts.attributes {
+    for Cost { name, ty, bytes } in costs(snapshot, info) {
         output::line(format_args!(
             "{:32} {ty:8} {bytes:>12} {:>12.3}",
-            output::clean(name),
-            per_point(*bytes, facts.points)
+            output::clean(&name),
+            per_point(bytes, info.points)
         ))?;
     }
-    let encoded: u64 = facts.attributes.iter().map(|a| a.2).sum();
-    let overhead = facts.file_bytes.saturating_sub(encoded);
+    let overhead = info.total_bytes.saturating_sub(info.chunk_bytes);
     output::line(format_args!(
         "{:32} {:8} {overhead:>12} {:>12.3}",
         "(file, index)",
         "-",
-        per_point(overhead, facts.points)
+        per_point(overhead, info.points)
     ))
 }

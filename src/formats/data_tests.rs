@@ -141,6 +141,34 @@ fn real_files_hold_what_their_list_says() {
 }
 
 #[test]
+fn real_files_name_their_systems() {
+    let Some(folder) = folder() else { return };
+    let expected = [
+        ("bcts/bcts_1.laz", Some(3005), Some(5713), Some("metre")),
+        ("ign_tiles/test_data_77050_627755_LA93_IGN69.laz", Some(2154), None, Some("metre")),
+        ("lasrs/autzen.copc.laz", Some(2992), Some(6360), Some("foot")),
+        ("spanner_multiplatform/ALS_Clip.laz", Some(6341), Some(5703), Some("metre")),
+        ("pdal_las/test1_4.las", Some(2903), None, Some("US survey foot")),
+        ("pdal_las/epsg_4326.las", Some(4326), None, Some("degree")),
+        ("odd_las/no-points.las", Some(4269), None, Some("degree")),
+        ("odd_las/bad-geotiff-keys.las", Some(32617), None, Some("metre")),
+        // Private codes and broken texts are no codes.
+        ("ign_tiles/test_pdalfail_0643_6319_LA93_IGN69.laz", None, None, None),
+        ("pdal_copc/lone-star.copc.laz", None, None, Some("metre")),
+    ];
+    for (name, horizontal, vertical, unit) in expected {
+        let source = open(&folder.join(name), &ReadOptions::default()).unwrap();
+        let crs = source.info().crs.clone().unwrap_or_default();
+        assert_eq!((crs.horizontal_epsg, crs.vertical_epsg, crs.unit_name()), (horizontal, vertical, unit), "{name}");
+        assert_eq!(crs.is_geographic(), unit == Some("degree"), "{name}");
+        assert_eq!(
+            crs.same_as(&crs),
+            if crs.wkt.is_some() || horizontal.is_some() || !crs.geotiff.is_empty() { Some(true) } else { None }
+        );
+    }
+}
+
+#[test]
 fn the_same_points_are_the_same_bytes_in_las_and_laz() {
     let Some(folder) = folder() else { return };
     let formats = ["4-1.3", "5-1.3", "6-1.4", "7-v4-1.4", "8-1.4", "9-1.4", "9-1.5", "10-1.4", "10-1.5"];

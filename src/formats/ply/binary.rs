@@ -99,6 +99,16 @@ impl Conversion {
             },
             (Target::Record(at), ty) => {
                 let bytes = ty.size() * step.values;
+                macro_rules! copied {
+                    ($($n:literal)*) => {
+                        match bytes {
+                            // Sizes that the compiler knows are one or two moves.
+                            $($n => return self.each(from, to, step.from, at, |value: [u8; $n]| value),)*
+                            _ => {}
+                        }
+                    };
+                }
+                copied!(1 2 3 4 6 8 12 16 24);
                 for (from, to) in from.chunks_exact(self.source_bytes).zip(to.chunks_exact_mut(self.record_bytes)) {
                     to[at..at + bytes].copy_from_slice(&from[step.from..step.from + bytes]);
                 }

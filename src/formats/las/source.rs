@@ -102,6 +102,11 @@ impl LasSource {
         Ok(Self { file, info, points })
     }
 
+    /// Adds to what a user should know.
+    pub(in crate::formats) fn warn(&mut self, warning: Option<String>) {
+        self.info.warnings.extend(warning);
+    }
+
     fn read_plain(&self, start: u64, piece: Piece, sink: &mut dyn FnMut(&[u8]) -> bool) -> Result<Tally, FormatError> {
         let stride = self.info.layout.stride();
         let run = (RUN_BYTES / stride).max(1) as u64;

@@ -1,7 +1,7 @@
 //! `esker render`: a picture without a window.
 
 use super::{Outcome, output, values};
-use crate::geometry::{Camera, DVec3, WorldBox};
+use crate::geometry::{Camera, WorldBox};
 use crate::points::Batch;
 use crate::query::{Filter, Query, select_view};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, RenderOptions, Renderer, Scene, SelectedPoints, colors};
@@ -86,11 +86,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
 
 fn camera(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Camera> {
     let site = snapshot.scans().iter().filter(|s| s.visible).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    let bounds = site.map(|b| super::info::world_bounds(&snapshot.site().lattice, &b));
-    let bounds = bounds.map_or(WorldBox { min: DVec3::ZERO, max: DVec3::ONE }, |(min, max)| WorldBox {
-        min: min.into(),
-        max: max.into(),
-    });
+    let bounds = site.map(|b| super::info_tmp::world_bounds(&snapshot.site().lattice, &b));
+    let (min, max) = bounds.unwrap_or(([0.0; 3], [1.0; 3]));
+    let bounds = WorldBox::new(min, max).context("the site's bounds are no box")?;
     let camera = match (&arguments.view, &arguments.bookmark) {
         (Some(path), _) => super::query::read_view(path)?,
         (None, Some(name)) => {

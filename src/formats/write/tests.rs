@@ -175,3 +175,52 @@ fn the_far_ends_of_the_lattice_are_written_or_refused() {
         assert!(error.contains("--scale"), "{error}");
     }
 }
+
+#[test]
+fn our_own_reader_gives_a_ply_file_back() {
+    let mut attributes = vec![
+        Attribute::new("Blue", ScalarType::U8),
+        Attribute::new("Green", ScalarType::U8),
+        Attribute::new("GpsTime", ScalarType::F64),
+        Attribute::new("Intensity", ScalarType::U16),
+        Attribute::new("NormalZ", ScalarType::F32),
+        Attribute::new("Red", ScalarType::U8),
+        Attribute::new("quality", ScalarType::I16),
+    ];
+    attributes.sort_by(|a, b| a.identity().cmp(&b.identity()));
+    let plan = plan(attributes);
+    let columns = plan.attributes.iter().enumerate().map(|(i, a)| {
+        let mut column = Column::zeros(a.ty, 0);
+        for j in 0..3 {
+            let value = i as u8 * 10 + j;
+            let mut one = Column::zeros(a.ty, 1);
+            crate::with_column!(&mut one, v => v[0] = value as _);
+            column.append(&one);
+        }
+        column
+    });
+    let batch = batch(&plan, &WORLDS, columns.collect());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let mut writer = create(&path, OutputFormat::Ply, &plan, &CreateOptions::default()).unwrap();
+    writer.write(&batch).unwrap();
+    writer.finish().unwrap();
+
+    let source = crate::formats::open(&path, &crate::formats::ReadOptions::default()).unwrap();
+    let layout = &source.info().layout;
+    assert_eq!(layout.attributes, plan.attributes);
+    let mut rows = Vec::new();
+    for piece in source.pieces(2) {
+        let mut sink = |run: &[u8]| {
+            rows.extend_from_slice(run);
+            true
+        };
+        source.read(piece, &mut sink).unwrap();
+    }
+    for (i, expected) in batch.columns.iter().enumerate() {
+        let mut column = Column::zeros(expected.ty(), 0);
+        layout.extract(i, rows.chunks(layout.stride()).map(|r| &r[24..]), &mut column);
+        assert_eq!(&column, expected, "{}", layout.attributes[i].name);
+    }
+    assert_eq!(rows[..8], WORLDS[0][0].to_le_bytes());
+}

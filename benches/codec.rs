@@ -60,6 +60,9 @@ fn seconds() -> f64 {
     on_cpu.map_or_else(|| START.elapsed().as_secs_f64(), |ns| ns / 1e9)
 }
 
+/// Level, key, index in the file.
+type Point = (i16, Key, usize);
+
 /// The columns of one part and their keys.
 struct Part {
     cube: Cube,
@@ -76,7 +79,7 @@ fn measure(tile: &str, path: &Path) -> Result<(), Error> {
     let record = data.record_len();
     let mut points: Vec<(Key, usize)> = Vec::new();
     for (i, ((x, y), z)) in data.x_raw().zip(data.y_raw()).zip(data.z_raw()).enumerate() {
-        let index = |c: i32| (BIAS as i64 + i64::from(c)) as u64;
+        let index = |c: i32| (BIAS + i64::from(c)) as u64;
         points.push((Key::of(LatticePoint([index(x), index(y), index(z)])), i));
     }
     points.sort_unstable();
@@ -88,7 +91,7 @@ fn measure(tile: &str, path: &Path) -> Result<(), Error> {
         .iter()
         .fold(Cube::spanning(first, last, 0), |cube, (key, _)| Cube::spanning(cube.low(), key.point(), cube.k()));
     let mut before: Option<Key> = None;
-    let leveled: Vec<(i16, Key, usize)> = points
+    let leveled: Vec<Point> = points
         .iter()
         .map(|&(key, i)| {
             let digit = before.map_or(i16::from(root.k()), |b| i16::from(key.differing_digit(b)));
@@ -123,7 +126,7 @@ fn measure(tile: &str, path: &Path) -> Result<(), Error> {
 }
 
 /// The nodes of the canonical tree.
-fn split(cube: Cube, level: i16, points: Vec<(i16, Key, usize)>, nodes: &mut Vec<(Cube, Vec<(i16, Key, usize)>)>) {
+fn split(cube: Cube, level: i16, points: Vec<Point>, nodes: &mut Vec<(Cube, Vec<Point>)>) {
     if points.is_empty() {
         return;
     }

@@ -10,14 +10,19 @@ pub(super) const MAX_BITS: u32 = 56;
 #[derive(Debug)]
 pub(super) struct BitWriter<'a> {
     out: &'a mut Vec<u8>,
+    /// Where in `out` the first byte of `pending` goes.
+    at: usize,
     pending: u64,
     /// Bits in `pending`, at most 7 between calls.
     filled: u32,
 }
 
 impl<'a> BitWriter<'a> {
-    pub(super) fn new(out: &'a mut Vec<u8>) -> Self {
-        Self { out, pending: 0, filled: 0 }
+    /// Appends to `out`, which gets room for `bits` bits at once.
+    pub(super) fn new(out: &'a mut Vec<u8>, bits: usize) -> Self {
+        let at = out.len();
+        out.resize(at + bits.div_ceil(8) + 2 * PADDING, 0);
+        Self { out, at, pending: 0, filled: 0 }
     }
 
     /// Appends the low `bits <= MAX_BITS` bits of `value`; those above must be zero.
@@ -26,9 +31,10 @@ impl<'a> BitWriter<'a> {
         debug_assert!(bits <= MAX_BITS && value >> bits == 0);
         self.pending |= value << self.filled;
         self.filled += bits;
-        let whole = (self.filled / 8) as usize;
-        self.out.extend_from_slice(&self.pending.to_le_bytes()[..whole]);
-        // `whole` is at most 7: 56 new bits behind 7 old ones.
+        self.out[self.at..self.at + 8].copy_from_slice(&self.pending.to_le_bytes());
+        // At most 7 whole bytes: 56 new bits behind 7 old ones.
+        let whole = self.filled / 8;
+        self.at += whole as usize;
         self.pending >>= 8 * whole;
         self.filled %= 8;
     }
@@ -44,11 +50,9 @@ impl<'a> BitWriter<'a> {
         }
     }
 
-    /// Fills the last byte with zeros.
+    /// Fills the last byte with zeros and gives back the room that was not used.
     pub(super) fn finish(self) {
-        if self.filled > 0 {
-            self.out.push(self.pending as u8);
-        }
+        self.out.truncate(self.at + usize::from(self.filled > 0));
     }
 }
 
@@ -77,10 +81,10 @@ mod tests {
         fn bits_come_back_in_order(numbers in prop::collection::vec((any::<u64>(), 0_u32..=64), 0..200)) {
             let cut = |value: u64, bits: u32| value.checked_shr(64 - bits).unwrap_or(0);
             let mut bytes = Vec::new();
-            let mut writer = BitWriter::new(&mut bytes);
+            let total: u32 = numbers.iter().map(|n| n.1).sum();
+            let mut writer = BitWriter::new(&mut bytes, total as usize);
             numbers.iter().for_each(|&(v, bits)| writer.put_wide(cut(v, bits), bits));
             writer.finish();
-            let total: u32 = numbers.iter().map(|n| n.1).sum();
             prop_assert_eq!(bytes.len(), total.div_ceil(8) as usize);
             bytes.extend([0xff; PADDING]);
             let mut at = 0;

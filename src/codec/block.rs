@@ -1,11 +1,13 @@
 //! One block of an attribute: which transform is cheapest, and its bytes.
 //!
-//! The first byte says how the rest is to be read: [`Kind`].
+//! The first byte says how the rest is to be read: [`Kind`]. All but the first two kinds store
+//! `n = (value - least) / step`, for values as integers in the order of the values.
 
 use super::column::is_constant;
 use super::dictionary;
+use super::numbers::{self, Numbers};
+use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
-use super::residual::{plan, put_residuals, read_residuals};
 use super::scratch::Buffers;
 use super::stream::StreamWriter;
 use super::value::Value;
@@ -19,17 +21,20 @@ enum Kind {
     Constant,
     /// Every value in the type's width.
     Raw,
-    /// A table of values, and an index into it for each point.
+    /// `least`, `step`; a table of at most 16 `n`, and an index into it for each point, several to a byte.
     Dictionary,
-    /// `least`, `step`, and for each value `(value - least) / step` as a residual.
-    Plain,
-    /// The same, but residuals are differences from the value before, zigzag.
-    Difference,
+    /// `least`, `step`; every `n` as a number.
+    Numbers,
+    /// `least`, `step`; all different `n` in order, and which of them each point has.
+    Ranked,
 }
 
 impl Kind {
-    const ALL: [Self; 5] = [Self::Constant, Self::Raw, Self::Dictionary, Self::Plain, Self::Difference];
+    const ALL: [Self; 5] = [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked];
 }
+
+/// Below so many bits a value, ranks of values beyond 16 bits are not tried: sorting costs more time than all else.
+const SORTED_ABOVE_BITS: f32 = 10.0;
 
 /// The largest `step` with which all values are `least + step * n`; 1 if all are equal.
 fn common_step(values: &[u64], least: u64) -> u64 {
@@ -53,18 +58,6 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
-/// Small numbers of either sign as small numbers.
-#[inline]
-fn zigzag(difference: u64) -> u64 {
-    (difference << 1) ^ ((difference as i64 >> 63) as u64)
-}
-
-/// The reverse of [`zigzag`].
-#[inline]
-fn unzigzag(residual: u64) -> u64 {
-    (residual >> 1) ^ (residual & 1).wrapping_neg()
-}
-
 /// Appends the block of `values`, of which there is at least one.
 pub(super) fn put_block<T: Value>(
     streams: &mut StreamWriter,
@@ -79,42 +72,40 @@ pub(super) fn put_block<T: Value>(
         put_uint(block[0].ordered(), width, out);
         return;
     }
-    let Buffers { values, residuals, indices, .. } = buffers;
+    let start = out.len();
+    let values = &mut buffers.values;
     values.clear();
     values.extend(block.iter().map(|v| v.ordered()));
-
-    let least = values.iter().copied().min().unwrap_or(0);
+    let (least, greatest) = values.iter().fold((u64::MAX, 0), |(a, b), v| (a.min(*v), b.max(*v)));
     let step = common_step(values, least);
     if step == 1 {
         values.iter_mut().for_each(|v| *v -= least);
     } else {
         values.iter_mut().for_each(|v| *v = (*v - least) / step);
     }
-    let plain = plan(values);
-    residuals.clear();
-    residuals.push(zigzag(values[0]));
-    residuals.extend(values.windows(2).map(|w| zigzag(w[1].wrapping_sub(w[0]))));
-    let difference = plan(residuals);
-
-    let table = dictionary::build(values, indices);
-    let start = out.len();
-    if let Some(table) = table
-        && table.cost_bits() < plain.cost_bits.min(difference.cost_bits)
-    {
-        out.push(Kind::Dictionary as u8);
-        put_uint(least, width, out);
-        put_varint(step, out);
-        dictionary::put(streams, &table, indices, out);
-    } else {
-        let (kind, plan, values) = if difference.cost_bits < plain.cost_bits {
-            (Kind::Difference, difference, &*residuals)
-        } else {
-            (Kind::Plain, plain, &*values)
-        };
+    let head = |kind: Kind, out: &mut Vec<u8>| {
         out.push(kind as u8);
         put_uint(least, width, out);
         put_varint(step, out);
-        put_residuals(streams, values, plan.mantissa, out);
+    };
+
+    if let Some(table) = dictionary::build(values, &mut buffers.bytes) {
+        head(Kind::Dictionary, out);
+        dictionary::put(streams, &table, &mut buffers.bytes, out);
+    } else {
+        let choice = numbers::choose(&buffers.values, &mut buffers.numbers);
+        let most = (greatest - least) / step;
+        // Wide values that take many bits may be few different ones, or as jumbled as times are.
+        let rankable = match most {
+            0..=0xff => false,
+            0x100..=0xffff => true,
+            _ => choice.cost_bits > SORTED_ABOVE_BITS * block.len() as f32,
+        };
+        let ranked_head = |out: &mut Vec<u8>| head(Kind::Ranked, out);
+        if !rankable || !ranked::try_put(streams, buffers, choice.cost_bits, ranked_head, out) {
+            head(Kind::Numbers, out);
+            numbers::put(streams, &buffers.values, &buffers.numbers, choice, out);
+        }
     }
     if out.len() - start > 1 + width * block.len() {
         out.truncate(start);
@@ -131,15 +122,13 @@ pub(super) fn read_block<T: Value>(
     count: usize,
     out: &mut Vec<T>,
 ) -> Result<(), CodecError> {
+    const KIND: &str = "kind of a block";
     let width = ty.size();
     let mut reader = Reader::new(bytes);
-    let code = reader.u8("kind of a block")?;
+    let code = reader.u8(KIND)?;
     let kind = Kind::ALL.into_iter().find(|k| *k as u8 == code);
-    let kind = kind.ok_or(CodecError::Range {
-        place: "kind of a block",
-        found: u64::from(code),
-        limit: Kind::Difference as u64,
-    })?;
+    let limit = Kind::Ranked as u64;
+    let kind = kind.ok_or(CodecError::Range { place: KIND, found: u64::from(code), limit })?;
     match kind {
         Kind::Constant => {
             let value = reader.uint(width, "constant value")?;
@@ -159,30 +148,27 @@ pub(super) fn read_block<T: Value>(
     let least = reader.uint(width, "least value")?;
     let step = reader.varint("step between values")?;
     let most = u64::MAX >> (64 - 8 * width);
-    // What a value may be before it is scaled: none if the step itself is out of range.
+    // What `n` may be: nothing if the step itself is out of range.
     let limit = (most - least).checked_div(step).unwrap_or(0);
-    let Decoder { streams, indices, values } = decoder;
-    match kind {
-        Kind::Dictionary => dictionary::read(streams, reader, indices, count, values)?,
-        Kind::Plain => read_residuals(streams, reader, count, 64, values)?,
-        _ => {
-            read_residuals(streams, reader, count, 64, values)?;
-            let mut before = 0_u64;
-            for value in values.iter_mut() {
-                before = before.wrapping_add(unzigzag(*value));
-                *value = before;
-            }
+    let value = |n: u64| T::from_ordered(least + step * n);
+    if kind == Kind::Numbers {
+        let Decoder { streams, bytes, wide, .. } = decoder;
+        match numbers::read(streams, reader, count, limit, bytes, wide)? {
+            Numbers::Bytes(numbers) => out.extend(numbers.iter().map(|n| value(u64::from(*n)))),
+            Numbers::Wide(numbers) => out.extend(numbers.iter().map(|n| value(*n))),
         }
+        return Ok(());
     }
-    let largest = values.iter().copied().max().unwrap_or(0);
-    if largest > limit {
-        return Err(CodecError::Range { place: "value", found: largest, limit });
-    }
-    if step == 1 {
-        out.extend(values.iter().map(|v| T::from_ordered(least + v)));
+    if kind == Kind::Dictionary {
+        dictionary::read(&mut decoder.streams, reader, &mut decoder.bytes, count, &mut decoder.values)?;
     } else {
-        out.extend(values.iter().map(|v| T::from_ordered(least + step * v)));
+        ranked::read(decoder, reader, count)?;
     }
+    let found = decoder.values.iter().copied().max().unwrap_or(0);
+    if found > limit {
+        return Err(CodecError::Range { place: "value", found, limit });
+    }
+    out.extend(decoder.values.iter().map(|n| value(*n)));
     Ok(())
 }
 
@@ -193,13 +179,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn zigzag_is_reversible_and_small_for_small_distances(a: u64, b in -1000_i64..1000) {
-            prop_assert_eq!(unzigzag(zigzag(a)), a);
-            prop_assert!(zigzag(b as u64) <= 2 * b.unsigned_abs());
-        }
-
-        #[test]
-        fn the_common_step_divides_every_distance(least in 0_u64..1000, step in 1_u64..1000, n in prop::collection::vec(0_u64..1000, 1..50)) {
+        fn the_common_step_divides_every_distance(
+            least in 0_u64..1000,
+            step in 1_u64..1000,
+            n in prop::collection::vec(0_u64..1000, 1..50),
+        ) {
             let values: Vec<_> = n.iter().map(|n| least + step * n).collect();
             let least = *values.iter().min().unwrap();
             let found = common_step(&values, least);

@@ -16,7 +16,7 @@ use std::sync::LazyLock;
 const MAX_MANTISSA: u32 = 8;
 
 /// What a symbol costs in the table of an entropy coder, in bits.
-const SYMBOL_BITS: f32 = 5.0;
+pub(super) const SYMBOL_BITS: f32 = 5.0;
 
 /// `n log2 n` for the counts of a block.
 static COUNT_LOG: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -57,32 +57,56 @@ fn finest_mantissa(bits: u32) -> u32 {
     (0..=MAX_MANTISSA).rev().find(|m| (bits.saturating_sub(*m) + 1) << m <= 256).unwrap_or(0)
 }
 
-/// Bits that an order-0 coder needs for `counts`, its table included.
+/// Bits that an order-0 coder needs for `counts`, without its table.
 pub(super) fn entropy_bits(counts: impl Iterator<Item = u32>) -> f32 {
     let log = &*COUNT_LOG;
     let of = |n: u32| log.get(n as usize).copied().unwrap_or_else(|| n as f32 * (n as f32).log2());
     let (mut total, mut parts) = (0, 0.0);
-    for n in counts.filter(|n| *n > 0) {
+    for n in counts {
         total += n;
-        parts += of(n) - SYMBOL_BITS;
+        parts += of(n);
     }
     // Huffman codes spend a bit on the commonest symbol; runs of it are matched and cost less.
     of(total) - parts
 }
 
+/// How often each symbol is there.
+pub(super) fn count(symbols: impl Iterator<Item = u8>) -> [u32; 256] {
+    // Two tables, since an addition that waits for the one before it is slow.
+    let mut counts = [[0_u32; 256]; 2];
+    let mut which = 0;
+    for symbol in symbols {
+        counts[which][usize::from(symbol)] += 1;
+        which ^= 1;
+    }
+    std::array::from_fn(|s| counts[0][s] + counts[1][s])
+}
+
+/// Runs of values that stand for all of a block when plans are made.
+fn sample(values: &[u64]) -> impl Iterator<Item = u64> + '_ {
+    let stride = (values.len() / SAMPLE_RUNS).max(SAMPLE_RUN);
+    values.chunks(stride).flat_map(|run| &run[..run.len().min(SAMPLE_RUN)]).copied()
+}
+
+const SAMPLE_RUNS: usize = 8;
+const SAMPLE_RUN: usize = 128;
+
 /// Finds the cheapest split of `values`.
 pub(super) fn plan(values: &[u64]) -> Plan {
     let all = values.iter().fold(0, |all, v| all | v);
     let mut mantissa = finest_mantissa(64 - all.leading_zeros());
-    let mut counts = [0_u32; 256];
-    values.iter().for_each(|v| counts[usize::from(split(*v, mantissa).0)] += 1);
+    let mut counts = count(sample(values).map(|v| split(v, mantissa).0));
+    let scale = values.len() as f32 / counts.iter().sum::<u32>().max(1) as f32;
     let mut best = Plan { mantissa, cost_bits: f32::INFINITY };
     loop {
         let used = || counts.iter().enumerate().filter(|(_, n)| **n > 0).map(|(s, n)| (s as u8, *n));
         let tails: u32 = used().map(|(s, n)| n * join(s, mantissa).1).sum();
-        let cost_bits = entropy_bits(used().map(|(_, n)| n)) + tails as f32;
+        let sampled_bits = entropy_bits(used().map(|(_, n)| n)) + tails as f32;
+        let cost_bits = sampled_bits * scale + used().count() as f32 * SYMBOL_BITS;
         if cost_bits < best.cost_bits {
             best = Plan { mantissa, cost_bits };
+        } else if cost_bits > 1.02 * best.cost_bits {
+            return best;
         }
         if mantissa == 0 {
             return best;
@@ -101,13 +125,22 @@ pub(super) fn put_residuals(streams: &mut StreamWriter, values: &[u64], mantissa
     symbols.clear();
     symbols.extend(values.iter().map(|v| split(*v, mantissa).0));
     streams.put(&symbols, out);
-    streams.symbols = symbols;
-    let mut writer = BitWriter::new(out);
-    for &value in values {
-        let tail = split(value, mantissa).1;
-        writer.put_wide(value & ((1 << tail) - 1), tail);
+    let largest = symbols.iter().copied().max().unwrap_or(0);
+    let widest = join(largest, mantissa).1;
+    if widest > 0 {
+        let open = symbols.iter().map(|s| join(*s, mantissa).1 as usize).sum();
+        let mut writer = BitWriter::new(out, open);
+        for (&value, &symbol) in values.iter().zip(&symbols) {
+            let tail = join(symbol, mantissa).1;
+            if widest <= MAX_BITS {
+                writer.put(value & ((1 << tail) - 1), tail);
+            } else {
+                writer.put_wide(value & ((1 << tail) - 1), tail);
+            }
+        }
+        writer.finish();
     }
-    writer.finish();
+    streams.symbols = symbols;
 }
 
 /// Reads `count` values of at most `max_bits` bits, up to the end of the block, into `out`, whose content is replaced.

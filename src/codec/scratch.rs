@@ -1,5 +1,6 @@
 //! What encoding and decoding keep from one chunk to the next: zstd's contexts and buffers of a block's size.
 
+use super::ranked::RankBuffers;
 use super::stream::{StreamReader, StreamWriter};
 
 /// Encodes chunks, one at a time; keep one per thread.
@@ -18,20 +19,41 @@ pub struct Encoder {
 pub(super) struct Buffers {
     /// The values as integers.
     pub(super) values: Vec<u64>,
-    /// What is left of them after prediction.
+    /// Differences of keys.
     pub(super) residuals: Vec<u64>,
-    /// Packed indices.
-    pub(super) indices: Vec<u8>,
+    /// Indices of values.
+    pub(super) bytes: Vec<u8>,
+    /// For the values.
+    pub(super) numbers: NumberBuffers,
+    /// For their ranks.
+    pub(super) rank: RankBuffers,
+    /// For their ranks as numbers.
+    pub(super) rank_numbers: NumberBuffers,
+}
+
+/// Other forms of a block's numbers.
+#[derive(Debug, Default)]
+pub(super) struct NumberBuffers {
+    /// Differences from one to the next, as zigzags.
+    pub(super) differences: Vec<u64>,
+    /// The numbers, where all fit.
+    pub(super) bytes: Vec<u8>,
+    /// Differences from one to the next, modulo 256.
+    pub(super) byte_differences: Vec<u8>,
 }
 
 /// Decodes chunks, one at a time; keep one per thread.
 #[derive(Debug, Default)]
 pub struct Decoder {
     pub(super) streams: StreamReader,
-    /// Packed indices.
-    pub(super) indices: Vec<u8>,
+    /// Numbers that are bytes, or indices of values.
+    pub(super) bytes: Vec<u8>,
+    /// Numbers that are not.
+    pub(super) wide: Vec<u64>,
     /// The values of one block as integers.
     pub(super) values: Vec<u64>,
+    /// All different values.
+    pub(super) table: Vec<u64>,
 }
 
 impl Encoder {

@@ -79,7 +79,7 @@ pub(super) fn put_block<K: SortKey>(
     let start = whole(&keys[0]);
     let mut before = start;
     let mut bounds = LatticeBox::of(start.point());
-    let symbols = &mut buffers.indices;
+    let symbols = &mut buffers.bytes;
     symbols.clear();
     for (index, key) in keys.iter().map(whole).enumerate() {
         if key < before || !(first..=last).contains(&key) {
@@ -91,11 +91,12 @@ pub(super) fn put_block<K: SortKey>(
         }
         before = key;
     }
-    let mut writer = BitWriter::new(out);
+    let mut writer = BitWriter::new(out, 8 * key_bytes(cube));
     put_key(&mut writer, difference(start, first), 8 * key_bytes(cube) as u32);
     writer.finish();
     streams.put(symbols, out);
-    let mut writer = BitWriter::new(out);
+    let open = symbols.iter().map(|s| usize::from(s.saturating_sub(1))).sum();
+    let mut writer = BitWriter::new(out, open);
     for pair in keys.windows(2) {
         let difference = difference(whole(&pair[1]), whole(&pair[0]));
         put_key(&mut writer, difference, bit_length(difference).saturating_sub(1));
@@ -126,8 +127,8 @@ pub(super) fn read_block(
     key = sum(cube.first_key(), key);
     push(key);
 
-    decoder.streams.read(&mut reader, count - 1, &mut decoder.indices)?;
-    let symbols = &decoder.indices;
+    decoder.streams.read(&mut reader, count - 1, &mut decoder.bytes)?;
+    let symbols = &decoder.bytes;
     let most = bit_length(limit);
     if let Some(found) = symbols.iter().find(|s| u32::from(**s) > most) {
         let (found, limit) = (u64::from(*found), u64::from(most));

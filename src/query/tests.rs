@@ -12,8 +12,11 @@ use proptest::prelude::*;
 use std::ops::ControlFlow;
 use stores::{Point, QUANTUM, TestStore, numbered, places, store};
 
+/// What a filter means.
+type Meaning = fn(&Point) -> bool;
+
 /// Filters with what they mean.
-const FILTERS: &[(&str, fn(&Point) -> bool)] = &[
+const FILTERS: &[(&str, Meaning)] = &[
     ("", |_| true),
     ("Classification = 2", |p| p.class == 2),
     ("class in (0, 3) and not id < 20", |p| (p.class == 0 || p.class == 3) && p.id >= 20),

@@ -20,14 +20,13 @@ struct Frame {
     farthest_past_front: f32,
     min_radius_px: f32,
     max_radius_px: f32,
-    // Strength times pixels per unit of depth difference; 0 turns eye-dome lighting off.
-    edl_scale: f32,
-    // Pixels to the four neighbours beside, and to the four at the corners (per axis).
-    edl_straight_px: i32,
-    edl_diagonal_px: i32,
+    // 0 turns eye-dome lighting off.
+    edl_strength: f32,
+    edl_radius_px: f32,
     pad_0: u32,
     pad_1: u32,
     pad_2: u32,
+    pad_3: u32,
     background_top: vec4<f32>,
     background_bottom: vec4<f32>,
 }

@@ -8,7 +8,7 @@ struct Point {
     steps_x: u32,
     steps_y: u32,
     steps_z: u32,
-    // RGBA8, red in the low byte.
+    // RGBA8, red in the low byte; the fourth byte is not read.
     color: u32,
 }
 
@@ -65,7 +65,10 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) block_inde
     splat.position = vec4<f32>(0.0, 0.0, -1.0, 1.0);
     splat.center_px = center_px;
     splat.radius_px = radius_px;
-    splat.color = point.color;
+    // The fourth byte tells the shading pass how large the splat is, in half pixels. The limit between two of them is no
+    // round number, which radii are often.
+    let half_px = u32(clamp(floor(2.0 * radius_px + 0.4142), 1.0, 255.0));
+    splat.color = (point.color & 0x00ffffffu) | (half_px << 24u);
     let in_depth = view.z >= frame.nearest_past_front && view.z <= frame.farthest_past_front;
     let in_image = all(center_px >= vec2<f32>(-reach_px)) && all(center_px <= frame.image_px + reach_px);
     if (in_depth && in_image) {

@@ -1,9 +1,11 @@
 // Background and eye-dome lighting: a pixel gets darker the more its neighbours are nearer to the eye. Twin on the CPU:
 // `reference::shade`.
 //
-// The depth difference to a neighbour is measured in the sideways distance to it (a slope): in perspective through the
-// logarithm of the ratio of depths, which is the same at every distance, in orthographic directly. Neighbours without a
-// point don't count, so neither a lone point nor a silhouette against the background changes colour.
+// The depth difference to a neighbour is taken relative to the sideways distance (a slope): in perspective through the
+// logarithm of the ratio of depths, which is the same at every distance, in orthographic directly as a part of the height
+// seen. Neighbours without a point don't count, so neither a lone point nor a silhouette against the background changes
+// colour. Neighbours are looked for beyond the pixel's own splat: flat discs on a slope are stairs, and shading the steps
+// would draw a line around every disc.
 
 @group(1) @binding(0) var colors: texture_2d<f32>;
 @group(1) @binding(1) var depths: texture_depth_2d;
@@ -27,21 +29,25 @@ fn log_1p(x: f32) -> f32 {
     return log(1.0 + x);
 }
 
-// How much nearer the neighbour is; 0 if it isn't.
-fn occlusion(own: f32, neighbor: vec2<i32>) -> f32 {
-    if (any(neighbor < vec2<i32>(0)) || any(neighbor >= vec2<i32>(frame.image_px))) {
-        return 0.0;
-    }
+// A slope counts at most this much: edges are drawn dark, not black.
+const STEEPEST: f32 = 3.0;
+// How far beyond its own splat's radius a pixel looks.
+const BEYOND_SPLAT: f32 = 1.5;
+
+// How steeply the image comes nearer towards the pixel `step` away; 0 if it doesn't. Steps end at the image's edge.
+fn occlusion(own: f32, pixel: vec2<i32>, step: vec2<i32>) -> f32 {
+    let neighbor = clamp(pixel + step, vec2<i32>(0), vec2<i32>(frame.image_px) - 1);
     let depth = textureLoad(depths, neighbor, 0);
-    if (depth <= 0.0) {
+    if (all(neighbor == pixel) || depth <= 0.0) {
         return 0.0;
     }
     let other = past_front(depth);
-    let behind = max(own - other, 0.0);
+    var behind = max(own - other, 0.0);
     if (frame.perspective == 1u) {
-        return log_1p(behind / (frame.front_depth + other));
+        behind = log_1p(behind / (frame.front_depth + other));
     }
-    return behind;
+    let slope = behind * frame.focal_px / length(vec2<f32>(neighbor - pixel));
+    return slope / (1.0 + slope / STEEPEST);
 }
 
 fn linear_from_srgb(c: vec3<f32>) -> vec3<f32> {
@@ -64,20 +70,23 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     if (depth <= 0.0) {
         return byte(mix(frame.background_top, frame.background_bottom, position.y / frame.image_px.y));
     }
-    let color = textureLoad(colors, pixel, 0).rgb;
-    if (frame.edl_scale <= 0.0) {
+    let texel = textureLoad(colors, pixel, 0);
+    let color = texel.rgb;
+    if (frame.edl_strength <= 0.0) {
         return vec4<f32>(color, 1.0);
     }
     let own = past_front(depth);
-    let s = frame.edl_straight_px;
-    let d = frame.edl_diagonal_px;
-    var sum = occlusion(own, pixel + vec2<i32>(s, 0)) + occlusion(own, pixel + vec2<i32>(-s, 0));
-    sum += occlusion(own, pixel + vec2<i32>(0, s)) + occlusion(own, pixel + vec2<i32>(0, -s));
-    sum += occlusion(own, pixel + vec2<i32>(d, d)) + occlusion(own, pixel + vec2<i32>(-d, d));
-    sum += occlusion(own, pixel + vec2<i32>(d, -d)) + occlusion(own, pixel + vec2<i32>(-d, -d));
+    let splat_radius_px = floor(texel.a * 255.0 + 0.5) / 2.0;
+    let reach_px = max(frame.edl_radius_px, BEYOND_SPLAT * splat_radius_px);
+    let s = i32(floor(reach_px + 0.5));
+    let d = i32(floor(reach_px * 0.70710678 + 0.5));
+    var sum = occlusion(own, pixel, vec2<i32>(s, 0)) + occlusion(own, pixel, vec2<i32>(-s, 0));
+    sum += occlusion(own, pixel, vec2<i32>(0, s)) + occlusion(own, pixel, vec2<i32>(0, -s));
+    sum += occlusion(own, pixel, vec2<i32>(d, d)) + occlusion(own, pixel, vec2<i32>(-d, d));
+    sum += occlusion(own, pixel, vec2<i32>(d, -d)) + occlusion(own, pixel, vec2<i32>(-d, -d));
     if (sum <= 0.0) {
         return vec4<f32>(color, 1.0);
     }
-    let light = exp(-frame.edl_scale * sum / 8.0);
+    let light = exp(-frame.edl_strength * sum / 8.0);
     return byte(vec4<f32>(srgb_from_linear(linear_from_srgb(color) * light), 1.0));
 }

@@ -2,6 +2,7 @@
 
 pub mod codec;
 pub mod formats;
+pub mod generate;
 pub mod geometry;
 pub mod ingest;
 pub mod lattice;

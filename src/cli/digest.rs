@@ -1,7 +1,7 @@
 //! `esker digest`: two hashes of what a store holds.
 
 use super::{Outcome, output};
-use crate::store::Store;
+use crate::store::{Store, digest};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -18,7 +18,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open(&arguments.store)?;
-    let digest = store.snapshot()?.digest()?;
+    let digest = digest(&store.snapshot()?)?;
     output::line(format_args!("points {}", hex(&digest.points)))?;
     output::line(format_args!("scans {}", hex(&digest.scans)))?;
     Ok(Outcome::Done)

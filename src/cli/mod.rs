@@ -6,6 +6,7 @@ mod generate;
 mod info;
 mod ingest;
 mod output;
+mod output_plan;
 mod progress;
 mod query;
 #[cfg(feature = "render")]

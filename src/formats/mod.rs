@@ -1,5 +1,9 @@
 //! Point files in and out. Knows columns and records, not the store.
 
+#[cfg(test)]
+mod damage_tests;
+#[cfg(test)]
+mod data_tests;
 mod detect;
 mod error;
 mod file;

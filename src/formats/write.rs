@@ -17,7 +17,8 @@ use csv::{CsvSink, CsvWriter};
 use destination::Destination;
 use las::{LasOptions, LasWriter};
 use ply::PlyWriter;
-use std::path::Path;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The form of an output.
@@ -110,13 +111,10 @@ pub fn create(
     options: &CreateOptions,
 ) -> Result<Box<dyn PointWriter>, FormatError> {
     let (destination, file) = Destination::file(path, options.force)?;
-    Ok(match format {
-        OutputFormat::Las | OutputFormat::Laz => {
-            Box::new(LasWriter::create(destination, file, plan, options.las(format))?)
-        }
-        OutputFormat::Ply => Box::new(PlyWriter::create(destination, file, plan)?),
-        OutputFormat::Csv => Box::new(CsvWriter::create(CsvSink::File(file, destination), plan)?),
-    })
+    if format == OutputFormat::Csv {
+        return Ok(checked(path, plan, CsvWriter::create(CsvSink::File(file, destination), plan)?));
+    }
+    create_counted(path, destination, file, format, plan, options)
 }
 
 /// As [`create`], to the standard output. CSV goes there as it comes; the other forms have counts at their front, so they
@@ -130,14 +128,64 @@ pub fn create_standard_output(
     plan: &OutputPlan,
     options: &CreateOptions,
 ) -> Result<Box<dyn PointWriter>, FormatError> {
+    let shown = Path::new(STANDARD_OUTPUT);
     if format == OutputFormat::Csv {
-        return Ok(Box::new(CsvWriter::create(CsvSink::Standard(std::io::stdout()), plan)?));
+        return Ok(checked(shown, plan, CsvWriter::create(CsvSink::Standard(std::io::stdout()), plan)?));
     }
     let (destination, file) = Destination::standard_output()?;
+    create_counted(shown, destination, file, format, plan, options)
+}
+
+/// What messages call the standard output.
+const STANDARD_OUTPUT: &str = "standard output";
+
+/// A writer of a form that has counts at its front, so that it needs a file.
+fn create_counted(
+    shown: &Path,
+    destination: Destination,
+    file: File,
+    format: OutputFormat,
+    plan: &OutputPlan,
+    options: &CreateOptions,
+) -> Result<Box<dyn PointWriter>, FormatError> {
     Ok(match format {
-        OutputFormat::Ply => Box::new(PlyWriter::create(destination, file, plan)?),
-        _ => Box::new(LasWriter::create(destination, file, plan, options.las(format))?),
+        OutputFormat::Ply => checked(shown, plan, PlyWriter::create(destination, file, plan)?),
+        _ => checked(shown, plan, LasWriter::create(destination, file, plan, options.las(format))?),
     })
+}
+
+fn checked(shown: &Path, plan: &OutputPlan, writer: impl PointWriter + 'static) -> Box<dyn PointWriter> {
+    let (shown, attributes) = (shown.into(), plan.attributes.clone());
+    Box::new(Checked { writer: Box::new(writer), attributes, shown, failed: false })
+}
+
+/// A writer that is given nothing but what the plan announced, and nothing more after an error.
+struct Checked<W> {
+    writer: Box<W>,
+    attributes: Arc<[Attribute]>,
+    shown: PathBuf,
+    failed: bool,
+}
+
+impl<W: PointWriter> Checked<W> {
+    fn usable(&self) -> Result<(), FormatError> {
+        let reason = "was given up after an error".into();
+        if self.failed { Err(FormatError::Unwritable { path: self.shown.clone(), reason }) } else { Ok(()) }
+    }
+}
+
+impl<W: PointWriter> PointWriter for Checked<W> {
+    fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
+        self.usable()?;
+        let written = check_batch(batch, &self.attributes, &self.shown).and_then(|()| self.writer.write(batch));
+        self.failed = written.is_err();
+        written
+    }
+
+    fn finish(self: Box<Self>) -> Result<Vec<String>, FormatError> {
+        self.usable()?;
+        self.writer.finish()
+    }
 }
 
 /// Batches must be what the plan announced: types decide how bytes are laid out.
@@ -168,3 +216,6 @@ pub trait PointWriter {
     /// As [`PointWriter::write`].
     fn finish(self: Box<Self>) -> Result<Vec<String>, FormatError>;
 }
+
+#[cfg(test)]
+mod tests;

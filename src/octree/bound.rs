@@ -86,10 +86,11 @@ impl Metric {
         }
     }
 
-    /// The bound of a closed cut (a node is begun only when its parent is fully taken), from all nodes on its edge:
-    /// infinite without any, since then nothing is taken. It never grows as the cut grows.
-    pub fn cut(&self, edge: impl IntoIterator<Item = Frontier>) -> f64 {
-        edge.into_iter().map(|node| self.frontier(node)).reduce(f64::max).unwrap_or(f64::INFINITY)
+    /// The bound of a closed cut (a node is begun only when its parent is fully taken) of `taken` points, from the nodes
+    /// on its edge: infinite if nothing is taken. It never grows as the cut grows.
+    pub fn cut(&self, taken: u64, edge: impl IntoIterator<Item = Frontier>) -> f64 {
+        let bound = edge.into_iter().map(|node| self.frontier(node)).fold(0.0, f64::max);
+        if taken == 0 { f64::INFINITY } else { bound }
     }
 }
 
@@ -106,7 +107,7 @@ pub enum Frontier {
         /// The step of its first point that is not taken.
         next: Step,
     },
-    /// A fully taken leaf.
+    /// A fully taken node without a child that is not begun: it may be left out.
     Complete,
 }
 

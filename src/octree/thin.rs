@@ -73,6 +73,54 @@ pub fn canonical_order<K: SortKey>(keys: &[K], first: i8) -> DetailOrder {
     DetailOrder { order, steps }
 }
 
+/// The first points of an order of detail.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DetailPrefix {
+    /// The points, as indices into the key order, ascending.
+    pub points: Vec<u32>,
+    /// The step of the first point that is not among them; `None` if all are.
+    pub left_out: Option<Step>,
+}
+
+impl DetailPrefix {
+    /// The bound of these points.
+    pub fn bound(&self, metric: &Metric) -> f64 {
+        metric.prefix(self.points.len() as u64, self.left_out)
+    }
+}
+
+/// The first `capacity` points of [`canonical_order`], as a set: one capacity is answered without ordering the rest.
+///
+/// # Panics
+///
+/// As [`canonical_order`].
+pub fn canonical_prefix<K: SortKey>(keys: &[K], first: i8, capacity: usize) -> DetailPrefix {
+    assert!(u32::try_from(keys.len()).is_ok(), "an order of detail has fewer than 2^32 points");
+    let wins = wins(keys, first);
+    let groups = steps(keys, &wins);
+    let numbers = || wins.iter().zip(&groups).map(|(&win, &group)| Step::number(win, group));
+    let mut counts = [0_usize; Step::COUNT];
+    numbers().for_each(|n| counts[n] += 1);
+    // The step that is cut, and how much of it there is room for.
+    let mut room = capacity;
+    let Some(cut) = (0..Step::COUNT).find(|&n| match room.checked_sub(counts[n]) {
+        Some(left) => {
+            room = left;
+            false
+        }
+        None => true,
+    }) else {
+        return DetailPrefix { points: (0..keys.len() as u32).collect(), left_out: None };
+    };
+    let mut chosen = vec![false; counts[cut]];
+    even_order(counts[cut] as u32).take(room).for_each(|i| chosen[i as usize] = true);
+    let mut chosen = chosen.into_iter();
+    let taken = |n: usize| n < cut || n == cut && chosen.next().unwrap_or(false);
+    let taken: Vec<bool> = numbers().map(taken).collect();
+    let points = (0..).zip(taken).filter(|(_, taken)| *taken).map(|(i, _)| i).collect();
+    DetailPrefix { points, left_out: Some(Step::of_number(cut)) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -118,6 +166,10 @@ mod tests {
             prop_assert_eq!(&detail.order, &naive);
             for taken in 0..=naive.len() {
                 prop_assert_eq!(detail.left_out(taken), naive.get(taken).map(|&i| step(i)));
+                let prefix = canonical_prefix(&keys, 48, taken);
+                let mut points = naive[..taken].to_vec();
+                points.sort_unstable();
+                prop_assert_eq!(prefix, DetailPrefix { points, left_out: detail.left_out(taken) });
             }
         }
     }

@@ -39,14 +39,11 @@ pub fn steps<K: SortKey>(keys: &[K], wins: &[i8]) -> Vec<u8> {
     let mut last = [(first, 0_u8); BITS as usize + 1];
     let group = |(&key, &win): (&K, &i8)| {
         let Ok(c) = usize::try_from(win) else { return 1 };
-        let (previous, rank) = &mut last[c.min(BITS as usize)];
-        if previous.differing_digit(key) > win {
-            *rank = 0;
-        }
-        *previous = key;
-        let group = GROUPS[usize::from(*rank)];
-        *rank = (*rank + 1).min(7);
-        group
+        let (previous, rank) = last[c.min(BITS as usize)];
+        // A choice of values, not of ways: which it is can't be predicted.
+        let rank = if previous.differing_digit(key) > win { 0 } else { rank };
+        last[c.min(BITS as usize)] = (key, (rank + 1).min(7));
+        GROUPS[usize::from(rank & 7)]
     };
     keys.iter().zip(wins).map(group).collect()
 }

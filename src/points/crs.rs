@@ -46,8 +46,10 @@ impl Crs {
     pub fn is_geographic(&self) -> bool {
         let of_text = self.node().and_then(|n| n.horizontal().map(Node::is_geographic));
         of_text.or_else(|| GeoKeys::of(self).model().map(|m| m == GEOGRAPHIC)).unwrap_or_else(|| {
-            // The block in which EPSG keeps most of its geographic systems.
-            self.horizontal_epsg.is_some_and(|code| (4000..5000).contains(&code))
+            // Blocks of the register that hold geographic systems only, and the common newer ones.
+            const CODES: &[u32] = &[4490, 4979, 6318, 6319, 6706, 7843, 7844, 9755];
+            let block = |code| matches!(code, 4120..=4326 | 4600..=4821) || CODES.contains(&code);
+            self.horizontal_epsg.is_some_and(block)
         })
     }
 
@@ -155,6 +157,14 @@ mod tests {
         assert_eq!(text("rubbish").same_as(&text("rub bish")), Some(true));
         assert_eq!(utm(None).same_as(&text("LOCAL_CS[\"a\"]")), None);
         assert_eq!(keys(&[(1024, 1), (3072, 32767)]).same_as(&keys(&[(1024, 1), (3072, 32767)])), Some(true));
+    }
+
+    #[test]
+    fn common_codes_tell_their_kind_and_unit() {
+        let unit = |code| Crs::from_epsg(code, None).unit_name();
+        assert_eq!([unit(4326), unit(4269), unit(7844)], [Some("degree"); 3]);
+        assert_eq!([unit(32632), unit(25833)], [Some("metre"); 2]);
+        assert_eq!([unit(4978), unit(2992), unit(4087)], [None; 3]);
     }
 
     #[test]

@@ -4,8 +4,8 @@ use super::Crs;
 
 const DIRECTORY: u16 = 34735;
 const ASCII: u16 = 34737;
-/// "Defined by other keys", which is no code.
-const USER_DEFINED: u16 = 32767;
+/// Codes of the EPSG register (GeoTIFF 1.0, 2.7.2): 32767 is "defined by other keys", above are private ones.
+const EPSG_CODES: std::ops::RangeInclusive<u16> = 1024..=32766;
 
 /// The key directory of a [`Crs`].
 pub(super) struct GeoKeys<'a> {
@@ -36,7 +36,7 @@ impl<'a> GeoKeys<'a> {
     }
 
     fn code(&self, key: u16) -> Option<u32> {
-        self.short(key).filter(|&code| code != 0 && code != USER_DEFINED).map(u32::from)
+        self.short(key).filter(|code| EPSG_CODES.contains(code)).map(u32::from)
     }
 
     /// GTModelTypeGeoKey: 1 projected, 2 geographic, 3 geocentric.
@@ -72,7 +72,11 @@ impl<'a> GeoKeys<'a> {
             let [_, location, count, value] = *self.keys.iter().find(|k| k[0] == key)?;
             let start = usize::from(value);
             let text = self.ascii.get(start..start + usize::from(count)).filter(|_| location == ASCII)?;
-            let text = String::from_utf8_lossy(text).trim_matches(['|', '\0', ' ']).to_owned();
+            let text = match std::str::from_utf8(text) {
+                Ok(text) => text.to_owned(),
+                Err(_) => text.iter().map(|&b| char::from(b)).collect(),
+            };
+            let text = text.trim_matches(['|', '\0', ' ']).to_owned();
             (!text.is_empty()).then_some(text)
         })
     }

@@ -26,14 +26,10 @@ pub(super) struct Frame {
     pub depth_scale: f64,
     pub min_radius_px: f64,
     pub max_radius_px: f64,
-    /// Strength times pixels per unit of depth difference; 0 without eye-dome lighting.
-    pub edl_scale: f64,
-    pub edl_straight_px: i32,
-    pub edl_diagonal_px: i32,
+    /// 0 without eye-dome lighting.
+    pub edl_strength: f32,
+    pub edl_radius_px: f32,
 }
-
-/// What a strength of 1 means: how fast light fades with the mean slope towards the neighbours.
-const EDL_UNIT: f64 = 0.6;
 
 impl Frame {
     /// # Errors
@@ -67,16 +63,9 @@ impl Frame {
             depth_scale: 1.0,
             min_radius_px: options.min_radius_px,
             max_radius_px: options.min_radius_px.max(options.max_radius_of_height * height),
-            edl_scale: 0.0,
-            edl_straight_px: 1,
-            edl_diagonal_px: 1,
+            edl_strength: options.edl.map_or(0.0, |edl| edl.strength),
+            edl_radius_px: options.edl.map_or(1.0, |edl| edl.radius_px),
         };
-        if let Some(edl) = options.edl {
-            let radius_px = f64::from(edl.radius_px);
-            frame.edl_scale = EDL_UNIT * f64::from(edl.strength) * focal_px / radius_px;
-            frame.edl_straight_px = radius_px.round().max(1.0) as i32;
-            frame.edl_diagonal_px = (radius_px * std::f64::consts::FRAC_1_SQRT_2).round().max(1.0) as i32;
-        }
         frame.fit_depth(scene);
         Ok(frame)
     }
@@ -100,8 +89,8 @@ impl Frame {
                 farthest = farthest.max(depth);
             }
         }
-        if !(farthest >= self.near) {
-            // Nothing can be seen.
+        if farthest < self.near {
+            // Nothing can be seen; -infinity without points.
             return;
         }
         self.front = nearest.max(self.near);

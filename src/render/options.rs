@@ -39,7 +39,7 @@ impl Background {
 pub struct Edl {
     /// How strong; 1 is a good default.
     pub strength: f32,
-    /// How far away the neighbours are that a pixel is compared with, in pixels; rounded to whole pixels.
+    /// How far away the neighbours are that a pixel is compared with, in pixels; further for splats that are larger.
     pub radius_px: f32,
 }
 

@@ -104,3 +104,70 @@ impl Run {
         GpuBlock { anchor_steps, radius: radius as f32, anchor_view, pad_0: 0 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Camera, Projection};
+    use crate::render::RenderOptions;
+    use proptest::prelude::*;
+
+    /// Indices that are near each other, or anywhere.
+    fn index() -> impl Strategy<Value = u64> {
+        prop_oneof![0_u64..1 << 48, (1_u64 << 46)..(1 << 46) + 1000, (0_u64..4).prop_map(|n| n << 32)]
+    }
+
+    proptest! {
+        #[test]
+        fn pages_hold_every_point_exactly_and_in_order(
+            nodes in prop::collection::vec(prop::collection::vec([index(), index(), index()], 0..20), 0..5),
+            page_points in 1_usize..30,
+            page_blocks in 1_usize..5,
+            height in prop::option::of(1.0_f64..1e9),
+        ) {
+            let mut number = 0_u32;
+            let nodes: Vec<RenderNode> = nodes.into_iter().map(|points| RenderNode {
+                spacing: 1.0,
+                colors: points.iter().map(|_| { number += 1; number.to_le_bytes() }).collect(),
+                positions: points.into_iter().map(LatticePoint).collect(),
+            }).collect();
+            let lattice = Lattice::uniform(0.001).unwrap();
+            let scene = Scene { lattice, nodes };
+            let projection = height.map_or(Projection::Perspective { fov_y_rad: 1.0 }, |height| Projection::Orthographic { height });
+            let camera = Camera::new(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Z, projection, [64, 64]).unwrap();
+            let frame = Frame::new(&scene, &camera, &RenderOptions::default(), 64).unwrap();
+
+            let mut unpacked = Vec::new();
+            for_each_page(&scene, &frame, 1.0, page_points, page_blocks, |page| {
+                assert!(page.points.len() <= page_points && page.blocks.len() <= page_blocks);
+                assert_eq!(page.blocks.len(), page.counts.len());
+                let mut points = page.points.iter();
+                for (block, &count) in page.blocks.iter().zip(&page.counts) {
+                    assert!(block.anchor_view.iter().all(|c| c.is_finite()));
+                    for point in points.by_ref().take(count as usize) {
+                        // Back from the anchor, in view space: within what f32 resolves at that size.
+                        let steps = [point.steps_x, point.steps_y, point.steps_z];
+                        let relative: [f64; 3] = std::array::from_fn(|i| {
+                            (f64::from(steps[i]) - f64::from(block.anchor_steps[i])) * 0.001
+                        });
+                        let view = frame.view_from_relative * DVec3::from_array(relative);
+                        let view = view + DVec3::from_array(block.anchor_view.map(f64::from));
+                        unpacked.push((point.color, view + DVec3::Z * frame.front));
+                    }
+                }
+                assert!(points.next().is_none());
+                Ok::<(), ()>(())
+            }).unwrap();
+
+            let expected: Vec<([u8; 4], LatticePoint)> = scene.nodes.iter()
+                .flat_map(|node| node.colors.iter().copied().zip(node.positions.iter())).collect();
+            prop_assert_eq!(unpacked.len(), expected.len());
+            for ((color, view), (expected_color, point)) in unpacked.into_iter().zip(expected) {
+                prop_assert_eq!(color, expected_color);
+                let exact = frame.view_from_world(scene.lattice.world_from_lattice(point));
+                let error = (view - exact).length();
+                prop_assert!(error <= exact.length() * 3e-7 + frame.front * 1e-15 + 1e-6, "{} of {}", error, exact);
+            }
+        }
+    }
+}

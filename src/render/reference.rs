@@ -8,6 +8,7 @@
 use super::frame::Frame;
 use super::{Image, RenderError, RenderOptions, Scene};
 use crate::geometry::Camera;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// The most pixels on a side.
 const MAX_SIZE_PX: u32 = 32_768;
@@ -24,7 +25,12 @@ pub fn render(scene: &Scene, camera: &Camera, options: &RenderOptions) -> Result
     Ok(shade(&canvas, &frame, options))
 }
 
-/// Colour and reversed depth per pixel; depth 0 where no point is.
+/// Shading counts a slope at most this much; as in `shade.wgsl`.
+const STEEPEST: f64 = 3.0;
+/// How far beyond its own splat's radius a pixel looks; as in `shade.wgsl`.
+const BEYOND_SPLAT: f64 = 1.5;
+
+/// Colour, the splat's radius in half pixels as the fourth byte, and reversed depth per pixel; depth 0 where no point is.
 struct Canvas {
     width: usize,
     height: usize,
@@ -48,7 +54,9 @@ fn draw_points(scene: &Scene, frame: &Frame, radius_factor: f64) -> Canvas {
             let radius_px =
                 (node.spacing * radius_factor * px_per_unit).clamp(frame.min_radius_px, frame.max_radius_px);
             let depth = (frame.depth_scale / (frame.depth_scale + (view.z - frame.front))).min(1.0) as f32;
-            canvas.splat(center_px, radius_px, depth, color);
+            let half_px = (2.0 * radius_px + 0.4142).floor().clamp(1.0, 255.0) as u8;
+            let [red, green, blue, _] = color;
+            canvas.splat(center_px, radius_px, depth, [red, green, blue, half_px]);
         }
     }
     canvas
@@ -77,9 +85,9 @@ impl Canvas {
         }
     }
 
+    /// The depth of a pixel of the image; `None` where no point is.
     fn depth_at(&self, x: i64, y: i64) -> Option<f32> {
-        let inside = (0..self.width as i64).contains(&x) && (0..self.height as i64).contains(&y);
-        let depth = if inside { self.depths[y as usize * self.width + x as usize] } else { 0.0 };
+        let depth = self.depths[y as usize * self.width + x as usize];
         (depth > 0.0).then_some(depth)
     }
 }
@@ -88,8 +96,6 @@ impl Canvas {
 fn shade(canvas: &Canvas, frame: &Frame, options: &RenderOptions) -> Image {
     let [top, bottom] = options.background.ends().map(|color| color.map(f64::from));
     let past_front = |depth: f32| frame.depth_scale * (1.0 / f64::from(depth) - 1.0);
-    let (s, d) = (i64::from(frame.edl_straight_px), i64::from(frame.edl_diagonal_px));
-    let neighbors = [(s, 0), (-s, 0), (0, s), (0, -s), (d, d), (-d, d), (d, -d), (-d, -d)];
     let mut rgba = Vec::with_capacity(canvas.colors.len() * 4);
     for y in 0..canvas.height as i64 {
         for x in 0..canvas.width as i64 {
@@ -99,14 +105,25 @@ fn shade(canvas: &Canvas, frame: &Frame, options: &RenderOptions) -> Image {
                 continue;
             };
             let own = past_front(depth);
-            let occlusion = |(dx, dy): (i64, i64)| {
-                let Some(other) = canvas.depth_at(x + dx, y + dy).map(past_front) else { return 0.0 };
+            let [red, green, blue, half_px] = canvas.colors[y as usize * canvas.width + x as usize];
+            let reach_px = f64::from(frame.edl_radius_px).max(BEYOND_SPLAT * f64::from(half_px) / 2.0);
+            let (s, d) = ((reach_px + 0.5).floor() as i64, (reach_px * FRAC_1_SQRT_2 + 0.5).floor() as i64);
+            let neighbors = [(s, 0), (-s, 0), (0, s), (0, -s), (d, d), (-d, d), (d, -d), (-d, -d)];
+            let occlusion = |(step_x, step_y): (i64, i64)| {
+                let neighbor_x = (x + step_x).clamp(0, canvas.width as i64 - 1);
+                let neighbor_y = (y + step_y).clamp(0, canvas.height as i64 - 1);
+                let sideways_px = ((neighbor_x - x) as f64).hypot((neighbor_y - y) as f64);
+                let Some(other) = canvas.depth_at(neighbor_x, neighbor_y).filter(|_| sideways_px > 0.0) else {
+                    return 0.0;
+                };
+                let other = past_front(other);
                 let behind = (own - other).max(0.0);
-                if frame.perspective { (behind / (frame.front + other)).ln_1p() } else { behind }
+                let behind = if frame.perspective { (behind / (frame.front + other)).ln_1p() } else { behind };
+                let slope = behind * frame.focal_px / sideways_px;
+                slope / (1.0 + slope / STEEPEST)
             };
             let sum: f64 = neighbors.into_iter().map(occlusion).sum();
-            let light = (-frame.edl_scale * sum / 8.0).exp();
-            let [red, green, blue, _] = canvas.colors[y as usize * canvas.width + x as usize];
+            let light = (-f64::from(frame.edl_strength) * sum / 8.0).exp();
             rgba.extend([red, green, blue].map(|byte| darkened(byte, light)));
             rgba.push(255);
         }

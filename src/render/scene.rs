@@ -8,8 +8,8 @@ use std::collections::HashMap;
 /// Points that lie about equally far apart.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RenderNode {
-    /// The distance between neighbouring points of the picture here, in CRS units; twice that while finer points are
-    /// still missing.
+    /// The distance between neighbouring points of the picture here, in CRS units: the side of a cell for a sampled node,
+    /// so that the default radius reaches over all but the rarest gaps; twice that while finer points are still missing.
     pub spacing: f64,
     /// Where.
     pub positions: Positions,

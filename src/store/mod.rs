@@ -2,6 +2,7 @@
 
 mod checksum;
 mod connection;
+mod decode;
 mod encode;
 mod error;
 mod files;
@@ -16,6 +17,10 @@ mod rows;
 mod shape;
 mod snapshot;
 mod summary;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
 mod writer;
 mod zones;
 

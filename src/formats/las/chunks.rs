@@ -155,9 +155,9 @@ fn from_table(
     let mut chunks = Vec::with_capacity(entries.len());
     let (mut first, mut offset) = (0, first_chunk);
     let mut held = 0;
-    for entry in entries {
+    for (i, entry) in entries.iter().enumerate() {
         let mut holds = codec.chunk_records.unwrap_or(entry.point_count);
-        let last = chunks.len() + 1 == entries.len();
+        let last = i + 1 == entries.len();
         if last && codec.layered && codec.chunk_records.is_some() {
             // The last chunk of a fixed size may be shorter; its head says by how much.
             let head = file.read_vec(offset, entry.byte_count.min(codec.layered_head_bytes() as u64))?;

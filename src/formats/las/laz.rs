@@ -12,6 +12,9 @@ pub const LASZIP_USER_ID: &[u8] = b"laszip encoded";
 /// Its record id.
 pub const LASZIP_RECORD_ID: u16 = LazVlr::RECORD_ID;
 
+/// The crate keeps a model of some kilobytes for every extra byte, so their number is bounded.
+const MOST_EXTRA_BYTES: usize = 4096;
+
 const REMEDY: &str = "decompress it to LAS first, with LASzip for example";
 
 /// How the points of a file are compressed; its items are those of the file's point format, in order.
@@ -43,6 +46,9 @@ impl Codec {
         let (compressor, coder) = (word(0), word(2));
         if !(1..=3).contains(&compressor) || coder != 0 {
             return Err(file.unsupported(format!("LAZ compressor {compressor} with coder {coder}"), REMEDY));
+        }
+        if header.record_bytes - header.point_format.record_bytes() > MOST_EXTRA_BYTES {
+            return Err(file.unsupported(format!("a LAZ file with more than {MOST_EXTRA_BYTES} extra bytes"), REMEDY));
         }
         let layered = compressor == 3;
         let items = parsed.items().clone();

@@ -8,8 +8,12 @@ mod header;
 pub mod layout;
 mod laz;
 mod records;
+#[cfg(test)]
+pub(super) mod samples;
 mod source;
 pub mod tables;
+#[cfg(test)]
+mod tests;
 
 pub(super) use header::quoted;
 pub use source::LasSource;

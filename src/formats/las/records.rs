@@ -20,6 +20,8 @@ const WAVEFORM_PACKETS: u16 = 65535;
 pub struct Records {
     /// VLRs, then EVLRs, in the file's order; waveform packets and giants left out.
     pub vlrs: Vec<RawVlr>,
+    /// Are all EVLRs there that the header announces (and are there any)?
+    pub extended_whole: bool,
     /// Are there waveform packets in the file?
     pub waveforms: bool,
     /// What a user should know.
@@ -54,11 +56,13 @@ impl Records {
 
     fn read_extended(&mut self, file: &SourceFile, header: &Header) -> Result<(), FormatError> {
         let mut offset = header.evlr_offset;
+        self.extended_whole = header.evlrs > 0;
         for read in 0..header.evlrs {
             let head = file.read_vec(offset, EVLR_BYTES)?;
             let length = head.get(20..28).and_then(|b| b.try_into().ok()).map(u64::from_le_bytes);
             let end = length.and_then(|l| offset.checked_add(EVLR_BYTES)?.checked_add(l));
             let (Some(length), Some(end)) = (length, end.filter(|&e| e <= file.bytes() && head.len() == 60)) else {
+                self.extended_whole = false;
                 self.warnings.push(format!(
                     "the header announces {} extended variable length records, {read} of them are in the file",
                     header.evlrs

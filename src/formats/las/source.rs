@@ -39,7 +39,6 @@ impl LasSource {
         let header = Header::read(&file)?;
         let mut records = Records::read(&file, &header)?;
         let mut warnings = std::mem::take(&mut records.warnings);
-        let extended_ok = header.evlrs > 0 && warnings.iter().all(|w| !w.contains("extended"));
         let room = header.record_bytes - header.point_format.record_bytes();
         let (described, cut) = extra::cut_to_fit(&mut records.vlrs, room);
         if cut {
@@ -52,7 +51,7 @@ impl LasSource {
             warnings.push("waveform packets are not kept (the per-point wave fields are)".to_owned());
         }
         let crs = crs::read(&records, header.global_encoding);
-        let end = points_end(&file, &header, extended_ok);
+        let end = points_end(&file, &header, records.extended_whole);
         let copc = records.find(b"copc", 1).is_some();
         let (points, format, found, missing) = if header.compressed {
             let vlr = records.find(LASZIP_USER_ID, LASZIP_RECORD_ID).ok_or_else(|| {
@@ -71,7 +70,7 @@ impl LasSource {
         } else {
             let room = (end - header.points_offset) / header.record_bytes as u64;
             let announced = announced(&header, |n| n <= room, &mut warnings);
-            if room > announced && !extended_ok {
+            if room > announced && !records.extended_whole {
                 warnings.push(format!(
                     "the header announces {announced} records, the file has room for {room}: what follows the announced ones is ignored"
                 ));
@@ -161,9 +160,9 @@ pub(in crate::formats) fn even_pieces(records: u64, target: u64) -> Vec<Piece> {
 
 /// Where the points end at the latest: at the EVLRs or the waveform packets if they are where the header says, or with
 /// the file.
-fn points_end(file: &SourceFile, header: &Header, extended_ok: bool) -> u64 {
+fn points_end(file: &SourceFile, header: &Header, extended_whole: bool) -> u64 {
     let mut end = file.bytes();
-    if extended_ok && header.evlr_offset >= header.points_offset {
+    if extended_whole && header.evlr_offset >= header.points_offset {
         end = end.min(header.evlr_offset);
     }
     // LAS 1.3 has its waveform packets after the points, without a count of EVLRs.

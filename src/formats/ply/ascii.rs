@@ -166,7 +166,7 @@ mod tests {
         for bad in ["256", "-1", "1.5", "x", "", "nan", "1e9"] {
             assert_eq!(small(bad), None, "{bad}");
         }
-        let int = |text: &str| parse(text.as_bytes(), ScalarType::I32).map(|v| i64::from_le_bytes(v));
+        let int = |text: &str| parse(text.as_bytes(), ScalarType::I32).map(i64::from_le_bytes);
         assert_eq!(int("2147483648"), None);
         assert_eq!(parse(b"18446744073709551615", ScalarType::U64), Some([255; 8]));
         assert_eq!(parse(b"18446744073709551616", ScalarType::U64), None);

@@ -21,14 +21,14 @@ struct Step {
 pub struct Conversion {
     steps: Vec<Step>,
     big: bool,
-    from_bytes: usize,
-    to_bytes: usize,
+    source_bytes: usize,
+    record_bytes: usize,
 }
 
 impl Conversion {
-    /// For `vertex`, whose properties go to `targets` in records of `to_bytes`; `None` if it has lists.
-    pub fn new(vertex: &Element, targets: &[Target], to_bytes: usize, encoding: Encoding) -> Option<Self> {
-        let from_bytes = usize::try_from(vertex.fixed_bytes()?).ok()?;
+    /// For `vertex`, whose properties go to `targets` in records of `record_bytes`; `None` if it has lists.
+    pub fn new(vertex: &Element, targets: &[Target], record_bytes: usize, encoding: Encoding) -> Option<Self> {
+        let source_bytes = usize::try_from(vertex.fixed_bytes()?).ok()?;
         let mut steps: Vec<Step> = Vec::new();
         let mut from = 0;
         for (property, &target) in vertex.properties.iter().zip(targets) {
@@ -39,20 +39,20 @@ impl Conversion {
             }
             from += ty.size();
         }
-        Some(Self { steps, big: encoding == Encoding::Big, from_bytes, to_bytes })
+        Some(Self { steps, big: encoding == Encoding::Big, source_bytes, record_bytes })
     }
 
     /// Bytes of a source record.
-    pub fn from_bytes(&self) -> usize {
-        self.from_bytes
+    pub fn source_bytes(&self) -> usize {
+        self.source_bytes
     }
 
     /// Converts whole source records; `to` has room for as many of ours.
     pub fn convert(&self, from: &[u8], to: &mut [u8]) {
         // One step over many records: the decision is made once, and the records stay in the nearest cache.
         const BLOCK: usize = 256;
-        let from = from.chunks(BLOCK * self.from_bytes);
-        for (from, to) in from.zip(to.chunks_mut(BLOCK * self.to_bytes)) {
+        let from = from.chunks(BLOCK * self.source_bytes);
+        for (from, to) in from.zip(to.chunks_mut(BLOCK * self.record_bytes)) {
             for step in &self.steps {
                 self.run(step, from, to);
             }
@@ -99,7 +99,17 @@ impl Conversion {
             },
             (Target::Record(at), ty) => {
                 let bytes = ty.size() * step.values;
-                for (from, to) in from.chunks_exact(self.from_bytes).zip(to.chunks_exact_mut(self.to_bytes)) {
+                macro_rules! copied {
+                    ($($n:literal)*) => {
+                        match bytes {
+                            // Sizes that the compiler knows are one or two moves.
+                            $($n => return self.each(from, to, step.from, at, |value: [u8; $n]| value),)*
+                            _ => {}
+                        }
+                    };
+                }
+                copied!(1 2 3 4 6 8 12 16 24);
+                for (from, to) in from.chunks_exact(self.source_bytes).zip(to.chunks_exact_mut(self.record_bytes)) {
                     to[at..at + bytes].copy_from_slice(&from[step.from..step.from + bytes]);
                 }
             }
@@ -115,7 +125,7 @@ impl Conversion {
         to_at: usize,
         convert: impl Fn([u8; N]) -> [u8; M],
     ) {
-        for (from, to) in from.chunks_exact(self.from_bytes).zip(to.chunks_exact_mut(self.to_bytes)) {
+        for (from, to) in from.chunks_exact(self.source_bytes).zip(to.chunks_exact_mut(self.record_bytes)) {
             let mut value = [0; N];
             value.copy_from_slice(&from[from_at..from_at + N]);
             to[to_at..to_at + M].copy_from_slice(&convert(value));

@@ -5,5 +5,7 @@ mod binary;
 mod header;
 mod layout;
 mod source;
+#[cfg(test)]
+mod tests;
 
 pub use source::PlySource;

@@ -60,7 +60,7 @@ impl PlySource {
             let room = file.bytes().saturating_sub(start);
             match Conversion::new(element, &targets, layout.stride(), header.encoding) {
                 Some(c) => {
-                    let found = element.count.min(room / c.from_bytes() as u64);
+                    let found = element.count.min(room / c.source_bytes() as u64);
                     (Records::Fixed(start, c), found)
                 }
                 None => {
@@ -107,7 +107,7 @@ impl PlySource {
         piece: Piece,
         sink: &mut dyn FnMut(&[u8]) -> bool,
     ) -> Result<Tally, FormatError> {
-        let (from_bytes, stride) = (conversion.from_bytes(), self.info.layout.stride());
+        let (from_bytes, stride) = (conversion.source_bytes(), self.info.layout.stride());
         let run = (RUN_BYTES / from_bytes.max(stride)).max(1) as u64;
         let room = run.min(piece.records) as usize;
         let (mut from, mut to) = (vec![0; room * from_bytes], vec![0; room * stride]);

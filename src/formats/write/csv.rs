@@ -6,7 +6,7 @@
 
 use super::destination::Destination;
 use super::number::{Exact, push_f32, push_f64, push_signed, push_unsigned};
-use super::{OutputPlan, PointWriter, check_batch};
+use super::{OutputPlan, PointWriter, STANDARD_OUTPUT};
 use crate::formats::FormatError;
 use crate::points::{Attribute, Batch, Column, Scaling};
 use std::fs::File;
@@ -30,7 +30,7 @@ impl CsvSink {
     fn shown(&self) -> &Path {
         match self {
             Self::File(_, destination) => destination.shown(),
-            Self::Standard(_) => Path::new("standard output"),
+            Self::Standard(_) => Path::new(STANDARD_OUTPUT),
         }
     }
 
@@ -39,7 +39,7 @@ impl CsvSink {
             Self::File(file, destination) => file.write_all(text).map_err(|e| destination.error("writing", e)),
             Self::Standard(out) => {
                 let written = out.write_all(text).and_then(|()| out.flush());
-                written.map_err(|source| FormatError::Io { path: "standard output".into(), action: "writing", source })
+                written.map_err(|source| FormatError::Io { path: STANDARD_OUTPUT.into(), action: "writing", source })
             }
         }
     }
@@ -150,7 +150,6 @@ fn push_name(text: &mut Vec<u8>, name: &str) {
 
 impl PointWriter for CsvWriter {
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
-        check_batch(batch, &self.attributes, self.sink.shown())?;
         let positions = [&batch.positions.x, &batch.positions.y, &batch.positions.z];
         for i in 0..batch.len() {
             for axis in 0..3 {

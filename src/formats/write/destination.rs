@@ -70,7 +70,7 @@ impl Destination {
 
     /// A new, empty file that will be copied to the standard output.
     pub fn standard_output() -> Result<(Self, File), FormatError> {
-        let shown = PathBuf::from("standard output");
+        let shown = PathBuf::from(super::STANDARD_OUTPUT);
         let (temporary, file) = temporary_file(&std::env::temp_dir(), &shown)?;
         Ok((Self { shown, path: None, temporary, force: false }, file))
     }

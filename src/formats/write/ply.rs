@@ -5,7 +5,7 @@
 
 use super::destination::Destination;
 use super::rows::{self, Put, Slot};
-use super::{OutputPlan, PointWriter, check_batch};
+use super::{OutputPlan, PointWriter};
 use crate::formats::FormatError;
 use crate::lattice::Lattice;
 use crate::points::{Attribute, Batch, Column, ScalarType};
@@ -144,7 +144,6 @@ fn names(attributes: &[Attribute], notes: &mut Vec<String>) -> Vec<String> {
 
 impl PointWriter for PlyWriter {
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
-        check_batch(batch, &self.attributes, self.destination.shown())?;
         let converted = (0..batch.columns.len()).map(|c| self.converted(c, &batch.columns[c]));
         let converted: Vec<_> = converted.collect::<Result<_, _>>()?;
         let stride = self.stride;

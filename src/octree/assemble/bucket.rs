@@ -105,11 +105,13 @@ fn select<'a>(wins: &[i8], first: usize, below: i8, least: i8, out: &'a mut Vec<
     // One more: the place where an index is written that is not kept.
     out.resize(count + 1, 0);
     if count > 0 {
+        // `least <= win < below` as one comparison, and no branch on its outcome.
+        let width = below.wrapping_sub(least) as u8;
         let mut n = 0;
         for (i, &win) in wins.iter().enumerate() {
             // The bucket has fewer than 2^32 points.
             out[n] = (first + i) as u32;
-            n += usize::from((least..below).contains(&win));
+            n += usize::from((win.wrapping_sub(least) as u8) < width);
         }
     }
     &out[..count]

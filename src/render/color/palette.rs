@@ -64,7 +64,7 @@ pub(super) fn category(number: u32) -> [u8; 4] {
     const GOLDEN_TURN: f64 = 0.618_033_988_749_895;
     let hue = (0.58 + f64::from(number) * GOLDEN_TURN).fract() * 6.0;
     // Every other number is lighter: hues come round again close by after 13 numbers.
-    let (saturation, value) = if number % 2 == 0 { (0.62, 0.90) } else { (0.48, 0.98) };
+    let (saturation, value) = if number.is_multiple_of(2) { (0.62, 0.90) } else { (0.48, 0.98) };
     let channel = |shift: f64| {
         let k = (shift + hue) % 6.0;
         let level: f64 = value - value * saturation * k.min(4.0 - k).clamp(0.0, 1.0);

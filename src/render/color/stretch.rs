@@ -38,7 +38,7 @@ impl Stretch {
     /// Where `value` is in the range: 0 at or below its lower end, 1 at or above the upper; the middle if the range has
     /// no extent, 0 for NaN.
     pub fn place(&self, value: f64) -> f64 {
-        if !(self.high > self.low) {
+        if self.high <= self.low {
             return if value.is_nan() { 0.0 } else { 0.5 };
         }
         // Halved, so that the widest ranges of f64 don't overflow.

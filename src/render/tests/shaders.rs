@@ -16,11 +16,11 @@ fn module(wgsl: &str) -> naga::Module {
 /// Names and offsets of a struct's members, and its size.
 fn layout(module: &naga::Module, name: &str) -> (Vec<(String, usize)>, usize) {
     for (_, ty) in module.types.iter() {
-        if let (Some(found), naga::TypeInner::Struct { members, span }) = (&ty.name, &ty.inner) {
-            if found == name {
-                let member = |m: &naga::StructMember| (m.name.clone().unwrap(), m.offset as usize);
-                return (members.iter().map(member).collect(), *span as usize);
-            }
+        if let naga::TypeInner::Struct { members, span } = &ty.inner
+            && ty.name.as_deref() == Some(name)
+        {
+            let member = |m: &naga::StructMember| (m.name.clone().unwrap(), m.offset as usize);
+            return (members.iter().map(member).collect(), *span as usize);
         }
     }
     panic!("no struct {name}");
@@ -42,8 +42,8 @@ fn shaders_are_valid() {
 #[test]
 fn shared_structs_agree_with_wgsl() {
     let frame = ours!(GpuFrame: view_from_steps, image_px, focal_px, perspective, front_depth, depth_scale,
-        nearest_past_front, farthest_past_front, min_radius_px, max_radius_px, edl_scale, edl_straight_px,
-        edl_diagonal_px, pad_0, pad_1, pad_2, background_top, background_bottom);
+        nearest_past_front, farthest_past_front, min_radius_px, max_radius_px, edl_strength,
+        edl_radius_px, pad_0, pad_1, pad_2, pad_3, background_top, background_bottom);
     let points = module(POINTS_WGSL);
     assert_eq!(layout(&points, "Frame"), frame);
     assert_eq!(layout(&module(SHADE_WGSL), "Frame"), frame);

@@ -23,8 +23,11 @@ pub fn orthographic(eye: [f64; 3], target: [f64; 3], height: f64, size_px: [u32;
     Camera::new(DVec3::from(eye), DVec3::from(target), DVec3::Z, projection, size_px).unwrap()
 }
 
+/// World positions with their colours.
+pub type Points = Vec<([f64; 3], [u8; 4])>;
+
 /// The scene of world points, one node of this spacing for each slice.
-pub fn scene(quantum: f64, nodes: &[(f64, Vec<([f64; 3], [u8; 4])>)]) -> Scene {
+pub fn scene(quantum: f64, nodes: &[(f64, Points)]) -> Scene {
     let lattice = Lattice::uniform(quantum).unwrap();
     let nodes = nodes
         .iter()
@@ -38,7 +41,7 @@ pub fn scene(quantum: f64, nodes: &[(f64, Vec<([f64; 3], [u8; 4])>)]) -> Scene {
 }
 
 /// Random points of random colours in a box around `center`, in nodes of 1000 points.
-pub fn random_points(points: usize, center: [f64; 3], half: f64, seed: u64) -> Vec<([f64; 3], [u8; 4])> {
+pub fn random_points(points: usize, center: [f64; 3], half: f64, seed: u64) -> Points {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..points)
         .map(|_| {
@@ -49,7 +52,7 @@ pub fn random_points(points: usize, center: [f64; 3], half: f64, seed: u64) -> V
 }
 
 /// A torus around `center`, lying, with its colours by direction: 3 m of ring radius, 1 m of tube.
-pub fn torus(points: usize, center: [f64; 3], seed: u64) -> Vec<([f64; 3], [u8; 4])> {
+pub fn torus(points: usize, center: [f64; 3], seed: u64) -> Points {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut torus = Vec::with_capacity(points);
     while torus.len() < points {

@@ -178,7 +178,6 @@ fn check_count(header: &Header, points: u64) -> Result<(), String> {
 
 impl PointWriter for LasWriter {
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
-        super::check_batch(batch, &self.attributes, self.destination.shown())?;
         let points = self.totals.points.saturating_add(batch.len() as u64);
         check_count(&self.header, points).map_err(|reason| self.destination.unwritable(reason))?;
         self.note_times(batch);

@@ -1,0 +1,119 @@
+//! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
+
+use crate::formats::{LasTarget, OutputPlan};
+use crate::lattice::{BIAS, LatticeBox, LatticePoint};
+use crate::points::LasFacts;
+use crate::query::OutputForm;
+use crate::store::Snapshot;
+use crate::store::model::Scan;
+use anyhow::{Context, bail};
+
+/// The plan, and what to do with colours of different depths.
+pub(super) struct Planned {
+    pub plan: OutputPlan,
+    /// The ids of scans whose 8-bit colours are to be brought to 16 bits.
+    pub brighten: Vec<u32>,
+    /// Are all GPS times adjusted standard ones?
+    pub standard_gps_time: bool,
+    pub notes: Vec<String>,
+}
+
+/// Plans an output. `all_attributes`: nothing was left out by the user. `scale`: what the user asked for.
+pub(super) fn plan(
+    snapshot: &Snapshot,
+    form: &OutputForm,
+    all_attributes: bool,
+    scale: Option<[f64; 3]>,
+) -> anyhow::Result<Planned> {
+    let scans: Vec<&Scan> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
+    let site = snapshot.site();
+    let mut notes = Vec::new();
+    let agreed = scale.is_none().then(|| agreed_facts(&scans)).flatten().filter(|_| all_attributes);
+    let las = match agreed {
+        Some(facts) => LasTarget::AsSource(facts.clone()),
+        None => {
+            if scans.len() > 1 && scans.iter().all(|s| s.las.is_some()) && scale.is_none() && all_attributes {
+                notes.push("the scans differ in LAS version, point format, scale or offset: written as LAS 1.4 on the \
+                            store's own grid"
+                    .to_owned());
+            }
+            merged(snapshot, &scans, scale)?
+        }
+    };
+    let deep = scans.iter().any(|s| s.color_depth == Some(16));
+    let brighten: Vec<u32> =
+        scans.iter().filter(|s| deep && s.color_depth == Some(8)).map(|s| s.id).collect();
+    if !brighten.is_empty() {
+        notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
+    }
+    let standard = |s: &&Scan| s.las.as_ref().is_some_and(|l| l.global_encoding & 1 == 1);
+    Ok(Planned {
+        plan: OutputPlan {
+            lattice: site.lattice.clone(),
+            attributes: form.attributes.clone(),
+            crs: site.crs.clone(),
+            las,
+        },
+        brighten,
+        standard_gps_time: !scans.is_empty() && scans.iter().all(|s| standard(&s)),
+        notes,
+    })
+}
+
+/// The facts of all scans, if they agree on everything that shapes a record.
+fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
+    let first = scans.first()?.las.as_ref()?;
+    let described = |facts: &LasFacts| {
+        let extra = facts.vlrs.iter().filter(|v| v.user_id.starts_with(b"LASF_Spec") && v.record_id == 4);
+        extra.map(|v| v.data.clone()).collect::<Vec<_>>()
+    };
+    let same = |other: &LasFacts| {
+        first.version == other.version
+            && first.point_format == other.point_format
+            && first.scale == other.scale
+            && first.offset == other.offset
+            && first.undescribed_bytes == other.undescribed_bytes
+            && described(first) == described(other)
+    };
+    let all = scans.iter().all(|s| s.las.as_ref().is_some_and(same) && s.attributes == scans[0].attributes);
+    all.then_some(first)
+}
+
+/// The store's own grid, or a scale of the user's, around the middle of the contributing scans.
+fn merged(snapshot: &Snapshot, scans: &[&Scan], scale: Option<[f64; 3]>) -> anyhow::Result<LasTarget> {
+    let lattice = &snapshot.site().lattice;
+    let bounds = scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
+    let bounds = bounds.unwrap_or(LatticeBox::of(LatticePoint([BIAS as u64; 3])));
+    let quantum = lattice.quantum_f64();
+    let scale = scale.unwrap_or(quantum);
+    let mut offset = [0.0; 3];
+    for axis in 0..3 {
+        let (min, max) = (bounds.min.0[axis], bounds.max.0[axis]);
+        offset[axis] = offset_for(snapshot, axis, min, max, scale[axis]).with_context(|| {
+            format!(
+                "the answer is {} units wide on axis {axis}, too wide for 32-bit coordinates in steps of {}; give a \
+                 coarser --scale, or --split-by scan",
+                (max - min) as f64 * quantum[axis],
+                scale[axis]
+            )
+        })?;
+    }
+    Ok(LasTarget::Merged { scale, offset })
+}
+
+/// A round world coordinate near the middle of an axis from which every index fits 32 bits.
+fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) -> anyhow::Result<f64> {
+    let lattice = &snapshot.site().lattice;
+    let steps = lattice.quantum_f64()[axis] / scale;
+    let middle = (min / 2 + max / 2) as i64 + (min % 2 + max % 2) as i64 / 2 - BIAS;
+    for digits in (0..=9).rev() {
+        let round = 10_i64.pow(digits);
+        let steps_from_bias = middle.div_euclid(round) * round;
+        let index = (BIAS + steps_from_bias) as u64;
+        let reach = index.abs_diff(min).max(index.abs_diff(max)) as f64 * steps;
+        if reach < f64::from(i32::MAX) {
+            return Ok(lattice.world_on_axis(axis, index));
+        }
+    }
+    bail!("it does not fit")
+}

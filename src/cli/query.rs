@@ -1,0 +1,419 @@
+//! `esker query`: points out, by region, filter and detail.
+
+use super::output_plan::{Planned, plan};
+use super::{Outcome, output, values};
+use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
+use crate::geometry::Camera;
+use crate::points::{Batch, Column};
+use crate::query::{Answer, AttributeSummary, Detail, Filter, Query, Region};
+use crate::store::{Snapshot, Store};
+use anyhow::{Context, bail};
+use clap::{Args, ValueEnum};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+/// Takes points out of a store: exactly those asked for, at the detail asked for, with the error stated.
+///
+/// Without -o it says how many there are and what their attributes are like.
+#[derive(Debug, Args)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  esker query site.esker --box 500000,5000000,500050,5000050 -o corner.laz\n  \
+                  esker query site.esker --where 'Classification = 2 and Intensity > 100' -o ground.las\n  \
+                  esker query site.esker --sphere 500010,5000020,130,5 --attributes Red,Green,Blue -o tree.ply\n  \
+                  esker query site.esker --max-error 0.05 -o overview.laz\n  \
+                  esker query site.esker --capacity 100000 -o - --format csv | head\n  \
+                  esker query site.esker --scan north --count\n\n\
+                  Boxes are half-open: a point on a maximum face is outside; `inf` is a number. Filters compare \
+                  attributes with numbers (= <> < <= > >=, between, in, is null, and, or, not), `scan` with names."
+)]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// X0,Y0,X1,Y1 in plan or X0,Y0,Z0,X1,Y1,Z1.
+    #[arg(long = "box", value_name = "NUMBERS", allow_hyphen_values = true, conflicts_with = "sphere")]
+    cuboid: Option<String>,
+    /// Take points on the box's maximum faces, too.
+    #[arg(long, requires = "cuboid")]
+    closed: bool,
+    /// X,Y,Z,R.
+    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
+    sphere: Option<String>,
+    /// What a camera needs: a view file in JSON.
+    #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["max_error", "spacing", "level"])]
+    view: Option<PathBuf>,
+    /// For --view: stop where spacing is below so many pixels.
+    #[arg(long, value_name = "PX", default_value = "1", value_parser = values::not_negative)]
+    max_error_px: f64,
+    /// Only points for which this is true, such as 'Classification in (2, 9)'.
+    #[arg(long = "where", value_name = "EXPR")]
+    filter: Option<String>,
+    /// Only this scan, by name or id; may be given several times.
+    #[arg(long = "scan", value_name = "NAME")]
+    scans: Vec<String>,
+    /// As few points as keep every matching point within D of one of them, in CRS units.
+    #[arg(long, value_name = "D", value_parser = values::not_negative, conflicts_with_all = ["spacing", "level"])]
+    max_error: Option<f64>,
+    /// One point per cell of at most D, in CRS units.
+    #[arg(long, value_name = "D", value_parser = values::positive, conflicts_with = "level")]
+    spacing: Option<f64>,
+    /// One point per cell of level N; 0 is the root's.
+    #[arg(long, value_name = "N")]
+    level: Option<u32>,
+    /// At most so many points, such as 500000 or 2M: an even thinning.
+    #[arg(long, visible_alias = "budget", value_name = "N", value_parser = values::count)]
+    capacity: Option<u64>,
+    /// Only these attributes, separated by commas; `none` for positions alone.
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
+    attributes: Vec<String>,
+    /// Where to: a file ending in .las, .laz, .ply or .csv, or - for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// The form of the output, if its name doesn't say.
+    #[arg(long, value_enum, requires = "output")]
+    format: Option<Format>,
+    /// LAS and LAZ: coordinates in these steps, one number or one per axis.
+    #[arg(long, value_name = "S[,S,S]", value_parser = values::per_axis, requires = "output")]
+    scale: Option<[f64; 3]>,
+    /// One file per scan: `out.las` becomes `out_NAME.las`.
+    #[arg(long, value_enum, value_name = "WHAT", requires = "output")]
+    split_by: Option<SplitBy>,
+    /// Replace an existing file.
+    #[arg(long)]
+    force: bool,
+    /// Print the number of points, nothing else.
+    #[arg(long, conflicts_with_all = ["output", "json"])]
+    count: bool,
+    /// One JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    Las,
+    Laz,
+    Ply,
+    Csv,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SplitBy {
+    Scan,
+}
+
+impl From<Format> for OutputFormat {
+    fn from(format: Format) -> Self {
+        match format {
+            Format::Las => Self::Las,
+            Format::Laz => Self::Laz,
+            Format::Ply => Self::Ply,
+            Format::Csv => Self::Csv,
+        }
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let target = arguments.output.as_deref().map(|path| Ok::<_, anyhow::Error>((path, format(path, arguments.format)?)));
+    let target = target.transpose()?;
+    if arguments.split_by.is_some() && target.is_some_and(|(path, _)| path == Path::new("-")) {
+        bail!("--split-by writes several files; give -o a file name");
+    }
+    let store = Store::open(&arguments.store)?;
+    let snapshot = store.snapshot()?;
+    let query = query(arguments, &snapshot)?;
+    if arguments.count {
+        let answer = query.count(&snapshot)?;
+        warn(arguments, &snapshot, &answer)?;
+        output::line(answer.points)?;
+        return Ok(Outcome::Done);
+    }
+    match target {
+        None => {
+            let (answer, summary) = summarise(&query, &snapshot)?;
+            warn(arguments, &snapshot, &answer)?;
+            if arguments.json {
+                let mut value = serde_json::to_value(&answer)?;
+                value["attributes"] = serde_json::to_value(&summary)?;
+                output::json(&value)?;
+            } else {
+                print_summary(&answer, &summary)?;
+            }
+        }
+        Some((path, format)) => {
+            let answers = if arguments.split_by.is_some() {
+                split(arguments, &snapshot, &query, path, format)?
+            } else {
+                vec![(path.to_owned(), write(arguments, &snapshot, &query, path, format)?)]
+            };
+            for (path, answer) in &answers {
+                warn(arguments, &snapshot, answer)?;
+                report(arguments, path, answer)?;
+            }
+        }
+    }
+    Ok(Outcome::Done)
+}
+
+fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
+    if let Some(format) = given {
+        return Ok(format.into());
+    }
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    OutputFormat::of_extension(ending).with_context(|| {
+        format!("{}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply or .csv, or --format", path.display())
+    })
+}
+
+fn query(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Query> {
+    let mut query = Query::new();
+    if let Some(text) = &arguments.cuboid {
+        let region = Region::parse_box(text)?;
+        let region = if arguments.closed { closed(region, snapshot)? } else { region };
+        query = query.region(region);
+    }
+    if let Some(text) = &arguments.sphere {
+        query = query.region(Region::parse_sphere(text)?);
+    }
+    if let Some(text) = &arguments.filter {
+        query = query.filter(Filter::parse(text)?);
+    }
+    if !arguments.scans.is_empty() {
+        query = query.scans(arguments.scans.iter().cloned());
+    }
+    if let Some(path) = &arguments.view {
+        let camera = read_view(path)?;
+        query = query.view(camera, arguments.max_error_px);
+    }
+    let detail = match (arguments.max_error, arguments.spacing, arguments.level) {
+        (Some(error), ..) => Detail::MaxError(error),
+        (_, Some(spacing), _) => Detail::Spacing(spacing),
+        (.., Some(level)) => Detail::Level(level),
+        _ => Detail::Everything,
+    };
+    query = query.detail(detail);
+    if let Some(capacity) = arguments.capacity {
+        query = query.capacity(capacity);
+    }
+    match arguments.attributes.as_slice() {
+        [] => {}
+        [none] if none.eq_ignore_ascii_case("none") => query = query.positions_only(),
+        names => query = query.attributes(names.iter().map(|n| n.trim().to_owned())),
+    }
+    Ok(query)
+}
+
+/// Reads a view file.
+pub(super) fn read_view(path: &Path) -> anyhow::Result<Camera> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("{}: reading the view failed", path.display()))?;
+    serde_json::from_str(&text).with_context(|| format!("{}: is no view", path.display()))
+}
+
+/// The box with its maximum faces: one lattice step more, which is exact.
+fn closed(region: Region, snapshot: &Snapshot) -> anyhow::Result<Region> {
+    let Region::Box { min, max } = region else { return Ok(region) };
+    let lattice = &snapshot.site().lattice;
+    let last = (1 << crate::lattice::BITS) - 1;
+    let up = std::array::from_fn(|axis| match lattice.first_index_at_least(axis, max[axis]) {
+        // Only a point exactly on the face is new; the next step lies outside of it anyway.
+        Some(index) if index < last && lattice.world_on_axis(axis, index) <= max[axis] => {
+            lattice.world_on_axis(axis, index + 1)
+        }
+        _ => max[axis],
+    });
+    Ok(Region::new_box(min, up)?)
+}
+
+/// Says what a user may not expect: a region beside the site, points on the faces that a half-open box leaves out.
+fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::Result<()> {
+    if answer.region_misses_site {
+        let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
+        if let Some(bounds) = bounds {
+            let (min, max) = super::info::world_bounds(&snapshot.site().lattice, &bounds);
+            eprintln!(
+                "esker: the region lies outside the site, whose bounds are {},{},{},{},{},{}",
+                min[0], min[1], min[2], max[0], max[1], max[2]
+            );
+        }
+    }
+    if arguments.closed {
+        return Ok(());
+    }
+    let Some(text) = &arguments.cuboid else { return Ok(()) };
+    let on_faces = on_maximum_faces(&Region::parse_box(text)?, snapshot)?;
+    if on_faces > 0 {
+        eprintln!(
+            "esker: {} points lie on the box's maximum faces and are not taken; --closed takes them",
+            output::grouped(on_faces)
+        );
+    }
+    Ok(())
+}
+
+/// Points that a closed box has and the half-open one has not. Slabs of one lattice step: cheap.
+fn on_maximum_faces(region: &Region, snapshot: &Snapshot) -> anyhow::Result<u64> {
+    let Region::Box { min, max } = *region else { return Ok(0) };
+    let Region::Box { max: up, .. } = closed(region.clone(), snapshot)? else { return Ok(0) };
+    let mut total = 0;
+    for axis in 0..3 {
+        if up[axis] == max[axis] || max[axis].is_infinite() {
+            continue;
+        }
+        // The face of this axis, closed on the axes before it so that edges count once.
+        let (mut low, mut high) = (min, max);
+        high[..axis].copy_from_slice(&up[..axis]);
+        low[axis] = max[axis];
+        high[axis] = up[axis];
+        for other in axis + 1..3 {
+            high[other] = max[other];
+        }
+        if (0..3).all(|i| low[i] < high[i]) {
+            total += Query::new().region(Region::new_box(low, high)?).count(snapshot)?.points;
+        }
+    }
+    Ok(total)
+}
+
+fn summarise(query: &Query, snapshot: &Snapshot) -> anyhow::Result<(Answer, Vec<AttributeSummary>)> {
+    let query = query.clone().with_scans(true);
+    let mut summary = query.summary(snapshot)?;
+    let answer = query.run(snapshot, |batch| {
+        summary.add(&batch);
+        ControlFlow::Continue(())
+    })?;
+    Ok((answer, summary.finish()))
+}
+
+fn print_summary(answer: &Answer, summary: &[AttributeSummary]) -> std::io::Result<()> {
+    output::line(format_args!("points       {}", output::grouped(answer.points)))?;
+    output::line(format_args!("error bound  {}", bound(answer)))?;
+    if answer.points == 0 {
+        return Ok(());
+    }
+    output::line(format_args!("{:32} {:>18} {:>18} {:>18} {:>14}", "attribute", "min", "max", "mean", "values"))?;
+    let number = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v}"));
+    for a in summary {
+        output::line(format_args!(
+            "{:32} {:>18} {:>18} {:>18} {:>14}",
+            output::clean(&a.name),
+            number(a.min),
+            number(a.max),
+            a.mean.map_or_else(|| "-".to_owned(), |v| format!("{v:.6}")),
+            output::grouped(a.count)
+        ))?;
+    }
+    Ok(())
+}
+
+/// The bound in words.
+fn bound(answer: &Answer) -> String {
+    let world = answer.error_bound.map_or_else(|| "none can be given".to_owned(), |b| format!("{b}"));
+    match answer.error_bound_px {
+        Some(px) => format!("{world} ({px:.2} pixels)"),
+        None => world,
+    }
+}
+
+fn report(arguments: &Arguments, path: &Path, answer: &Answer) -> anyhow::Result<()> {
+    if arguments.json {
+        if path == Path::new("-") {
+            // stdout has the points.
+            eprintln!("{}", serde_json::to_string(answer)?);
+        } else {
+            let mut value = serde_json::to_value(answer)?;
+            value["output"] = path.display().to_string().into();
+            output::json(&value)?;
+        }
+    } else if path != Path::new("-") {
+        output::line(format_args!(
+            "{}: {} points, error bound {}",
+            path.display(),
+            output::grouped(answer.points),
+            bound(answer)
+        ))?;
+    }
+    Ok(())
+}
+
+fn split(
+    arguments: &Arguments,
+    snapshot: &Snapshot,
+    query: &Query,
+    path: &Path,
+    format: OutputFormat,
+) -> anyhow::Result<Vec<(PathBuf, Answer)>> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let ending = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
+    let mut answers = Vec::new();
+    for id in query.output_form(snapshot)?.scans {
+        let Some(scan) = snapshot.scan(id) else { continue };
+        let name: String = scan.name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
+        let file = path.with_file_name(format!("{stem}_{name}{ending}"));
+        let one = query.clone().scans([id.to_string()]);
+        let answer = write(arguments, snapshot, &one, &file, format)?;
+        answers.push((file, answer));
+    }
+    Ok(answers)
+}
+
+fn write(
+    arguments: &Arguments,
+    snapshot: &Snapshot,
+    query: &Query,
+    path: &Path,
+    format: OutputFormat,
+) -> anyhow::Result<Answer> {
+    let form = query.output_form(snapshot)?;
+    let planned = plan(snapshot, &form, arguments.attributes.is_empty(), arguments.scale)?;
+    for note in &planned.notes {
+        eprintln!("esker: {note}");
+    }
+    let options = CreateOptions {
+        force: arguments.force,
+        standard_gps_time: planned.standard_gps_time,
+        ..CreateOptions::default()
+    };
+    let mut writer: Box<dyn PointWriter> = if path == Path::new("-") {
+        create_standard_output(format, &planned.plan, &options)?
+    } else {
+        create(path, format, &planned.plan, &options)?
+    };
+    let query = query.clone().with_scans(!planned.brighten.is_empty());
+    let mut failure = None;
+    let answer = query.run(snapshot, |mut batch| {
+        deepen(&mut batch, &planned);
+        match writer.write(&batch) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                failure = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    })?;
+    if let Some(error) = failure {
+        return Err(error.into());
+    }
+    for note in writer.finish()? {
+        eprintln!("esker: {}", output::clean(&note));
+    }
+    Ok(answer)
+}
+
+/// Brings colours of 8 bits to 16, where both meet.
+fn deepen(batch: &mut Batch, planned: &Planned) {
+    if planned.brighten.is_empty() {
+        return;
+    }
+    let names: Vec<usize> = (0..batch.attributes.len())
+        .filter(|&i| ["Red", "Green", "Blue", "Infrared"].contains(&batch.attributes[i].name.as_str()))
+        .collect();
+    for i in names {
+        if let Column::U16(values) = &mut batch.columns[i] {
+            for (value, scan) in values.iter_mut().zip(&batch.scans) {
+                if planned.brighten.binary_search(scan).is_ok() {
+                    *value = value.saturating_mul(257);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! `esker verify`: is the store whole?
+
+use super::{Outcome, output};
+use crate::store::{Store, verify};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::IsTerminal;
+use std::path::PathBuf;
+
+/// Checks that a store is whole: checksums, counts, bounds, zone maps, and that no point was lost.
+///
+/// Names what is damaged; everything else stays readable. Exit code 1 if anything is.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  esker verify site.esker\n  esker verify site.esker --deep --json")]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// Also check that every point is stored where the sampling rule puts it.
+    #[arg(long)]
+    deep: bool,
+    /// One JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let store = Store::open(&arguments.store)?;
+    let bar = ProgressBar::no_length();
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    if let Ok(style) = ProgressStyle::with_template("verifying [{bar:32}] {human_pos}/{human_len} points  {eta} left") {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    let report = verify(&store, arguments.deep, &|done, all| {
+        bar.set_length(all);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    if arguments.json {
+        let findings: Vec<_> = report
+            .findings
+            .iter()
+            .map(|f| serde_json::json!({ "table": f.table, "key": f.key, "what": f.what }))
+            .collect();
+        output::json(&serde_json::json!({
+            "whole": report.is_whole(),
+            "findings": findings,
+            "more_findings": report.more_findings,
+            "nodes": report.nodes,
+            "points": report.points,
+            "scans": report.scans,
+        }))?;
+    } else if report.is_whole() {
+        output::line(format_args!(
+            "whole: {} points in {} nodes, {} scans",
+            output::grouped(report.points),
+            output::grouped(report.nodes),
+            report.scans
+        ))?;
+    } else {
+        for finding in &report.findings {
+            eprintln!("esker: {}: damaged: {}", arguments.store.display(), output::clean(&finding.to_string()));
+        }
+        if report.more_findings > 0 {
+            eprintln!("esker: {} more", output::grouped(report.more_findings));
+        }
+    }
+    Ok(if report.is_whole() { Outcome::Done } else { Outcome::Damaged })
+}

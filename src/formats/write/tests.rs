@@ -1,0 +1,177 @@
+//! PLY and CSV, byte by byte, and what all writers have in common.
+
+use super::*;
+use crate::lattice::{Lattice, LatticePoint};
+use crate::points::{Column, Positions, ScalarType, Scaling};
+use std::fs;
+
+fn plan(attributes: Vec<Attribute>) -> OutputPlan {
+    OutputPlan {
+        lattice: Lattice::uniform(0.001).unwrap(),
+        attributes: attributes.into(),
+        crs: None,
+        las: LasTarget::Merged { scale: [0.001; 3], offset: [0.0; 3] },
+    }
+}
+
+fn batch(plan: &OutputPlan, worlds: &[[f64; 3]], columns: Vec<Column>) -> Batch {
+    let positions: Positions = worlds.iter().map(|w| plan.lattice.lattice_from_world(*w).unwrap()).collect();
+    Batch { attributes: Arc::clone(&plan.attributes), positions, scans: Vec::new(), columns }
+}
+
+/// What a file of this form holds after these batches, and the notes.
+fn written(format: OutputFormat, plan: &OutputPlan, batches: &[Batch]) -> Result<(Vec<u8>, Vec<String>), FormatError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out");
+    let mut writer = create(&path, format, plan, &CreateOptions::default())?;
+    for batch in batches {
+        writer.write(batch)?;
+    }
+    let notes = writer.finish()?;
+    Ok((fs::read(&path).unwrap(), notes))
+}
+
+const WORLDS: [[f64; 3]; 3] = [[500_000.125, -0.001, 0.0], [1.0, -2.5, 1e6], [0.1, 0.2, 0.3]];
+
+#[test]
+fn csv_has_exact_coordinates_and_real_values() {
+    let mut height = Attribute::new("height, m", ScalarType::I16);
+    height.scaling = Some(Scaling { scale: 0.1, offset: 0.0 });
+    height.no_data = Some([0xFF; 8]);
+    let plan = plan(vec![Attribute::new("Intensity", ScalarType::U16), height, Attribute::new("f", ScalarType::F32)]);
+    let columns =
+        vec![Column::U16(vec![0, 1, 65_535]), Column::I16(vec![3, -1, -7]), Column::F32(vec![0.1, -0.0, 1e30])];
+    let (bytes, notes) = written(OutputFormat::Csv, &plan, &[batch(&plan, &WORLDS, columns)]).unwrap();
+    let expected = "X,Y,Z,Intensity,\"height, m\",f\n\
+                    500000.125,-0.001,0,0,0.3,0.1\n\
+                    1,-2.5,1000000,1,,-0\n\
+                    0.1,0.2,0.3,65535,-0.7,1e30\n";
+    assert_eq!(String::from_utf8(bytes).unwrap(), expected);
+    assert!(notes[0].contains("height"));
+}
+
+#[test]
+fn ply_has_customary_names_and_the_count_of_all_batches() {
+    let plan = plan(vec![
+        Attribute::new("Red", ScalarType::U8),
+        Attribute::new("NormalX", ScalarType::F32),
+        Attribute::new("tree id", ScalarType::I64),
+        Attribute::new("Red", ScalarType::U16),
+    ]);
+    let columns = |n: usize| {
+        vec![
+            Column::U8(vec![200; n]),
+            Column::F32(vec![0.5; n]),
+            Column::I64(vec![-(1 << 60); n]),
+            Column::U16(vec![9; n]),
+        ]
+    };
+    let batches = [batch(&plan, &WORLDS, columns(3)), batch(&plan, &WORLDS[..1], columns(1))];
+    let (bytes, notes) = written(OutputFormat::Ply, &plan, &batches).unwrap();
+    let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+    let header = std::str::from_utf8(&bytes[..end]).unwrap();
+    assert!(header.starts_with("ply\nformat binary_little_endian 1.0\n"), "{header}");
+    let lines: Vec<_> = header.lines().map(str::trim_end).collect();
+    let properties = [
+        "element vertex 4",
+        "property double x",
+        "property double y",
+        "property double z",
+        "property uchar red",
+        "property float nx",
+        "property double tree_id",
+        "property ushort red.2",
+        "end_header",
+    ];
+    assert!(lines.ends_with(&properties), "{header}");
+    assert!(notes.iter().any(|n| n.contains("red.2")), "{notes:?}");
+    let stride = 24 + 1 + 4 + 8 + 2;
+    assert_eq!(bytes.len() - end, 4 * stride);
+    for (row, world) in bytes[end..].chunks(stride).zip(WORLDS.iter().chain(&WORLDS[..1])) {
+        let double = |at: usize| f64::from_le_bytes(row[at..at + 8].try_into().unwrap());
+        assert_eq!([double(0), double(8), double(16)], *world);
+        assert_eq!((row[24], double(29)), (200, -(2_f64.powi(60))));
+        assert_eq!((&row[25..29], &row[37..39]), (&0.5_f32.to_le_bytes()[..], &[9, 0][..]));
+    }
+}
+
+#[test]
+fn ply_refuses_integers_that_it_would_round() {
+    let plan = plan(vec![Attribute::new("id", ScalarType::U64)]);
+    let column = Column::U64(vec![1, (1 << 53) + 1, 2]);
+    let error = written(OutputFormat::Ply, &plan, &[batch(&plan, &WORLDS, vec![column])]).unwrap_err().to_string();
+    assert!(error.contains("9007199254740993") && error.contains("LAS"), "{error}");
+}
+
+#[test]
+fn empty_files_are_valid() {
+    let plan = plan(vec![Attribute::new("Intensity", ScalarType::U16)]);
+    let none = batch(&plan, &[], vec![Column::U16(Vec::new())]);
+    for batches in [&[][..], &[none][..]] {
+        assert_eq!(written(OutputFormat::Csv, &plan, batches).unwrap().0, b"X,Y,Z,Intensity\n");
+        let ply = written(OutputFormat::Ply, &plan, batches).unwrap().0;
+        assert!(String::from_utf8(ply).unwrap().contains("element vertex 0 "));
+        for format in [OutputFormat::Las, OutputFormat::Laz] {
+            let bytes = written(format, &plan, batches).unwrap().0;
+            let reader = ::las::Reader::new(std::io::Cursor::new(bytes)).unwrap();
+            assert_eq!(reader.header().number_of_points(), 0);
+        }
+    }
+}
+
+#[test]
+fn every_form_is_refused_where_no_file_can_be() {
+    let plan = plan(Vec::new());
+    let folder = tempfile::tempdir().unwrap();
+    let there = folder.path().join("there");
+    fs::write(&there, b"mine").unwrap();
+    for format in [OutputFormat::Las, OutputFormat::Laz, OutputFormat::Ply, OutputFormat::Csv] {
+        let refused = |path: &Path| create(path, format, &plan, &CreateOptions::default()).map(|_| ()).unwrap_err();
+        assert!(refused(&there).to_string().contains("--force"));
+        assert!(refused(folder.path()).to_string().contains("directory"));
+        assert!(refused(&folder.path().join("no/file")).to_string().contains("does not exist"));
+        // A folder in which not even root may create files.
+        #[cfg(target_os = "linux")]
+        assert!(matches!(refused(Path::new("/proc/file")), FormatError::Io { action: "creating", .. }));
+    }
+    assert_eq!(fs::read(&there).unwrap(), b"mine");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_dropped_writer_leaves_nothing() {
+    let plan = plan(Vec::new());
+    let folder = tempfile::tempdir().unwrap();
+    for format in [OutputFormat::Las, OutputFormat::Laz, OutputFormat::Ply, OutputFormat::Csv] {
+        let mut writer = create(&folder.path().join("a"), format, &plan, &CreateOptions::default()).unwrap();
+        writer.write(&batch(&plan, &WORLDS, Vec::new())).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        drop(writer);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}
+
+#[test]
+fn a_writer_that_failed_does_not_finish() {
+    let plan = plan(vec![Attribute::new("ReturnNumber", ScalarType::U8)]);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.las");
+    let mut writer = create(&path, OutputFormat::Las, &plan, &CreateOptions::default()).unwrap();
+    assert!(writer.write(&batch(&plan, &WORLDS, vec![Column::U8(vec![1, 77, 1])])).is_err());
+    assert!(writer.finish().is_err());
+    assert!(!path.exists());
+}
+
+#[test]
+fn the_far_ends_of_the_lattice_are_written_or_refused() {
+    let plan = plan(Vec::new());
+    let far = Positions::from_iter([LatticePoint([0; 3]), LatticePoint([(1 << 48) - 1; 3])]);
+    let batch = Batch { positions: far, ..batch(&plan, &[], Vec::new()) };
+    let csv = String::from_utf8(written(OutputFormat::Csv, &plan, std::slice::from_ref(&batch)).unwrap().0).unwrap();
+    let min = plan.lattice.decimal_on_axis(0, 0);
+    assert!(csv.contains(&format!("\n{0},{0},{0}\n", min.to_f64())), "{csv}");
+    for format in [OutputFormat::Las, OutputFormat::Laz] {
+        let error = written(format, &plan, std::slice::from_ref(&batch)).unwrap_err().to_string();
+        assert!(error.contains("--scale"), "{error}");
+    }
+}

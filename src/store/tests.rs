@@ -1,0 +1,333 @@
+//! Laws of the store as a whole.
+
+use super::files::{beside, wal, wal_bytes};
+use super::testing::{content, elsewhere, options, points, prepare, replace, some_points, sorted};
+use super::*;
+use proptest::prelude::*;
+use rusqlite::Connection;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+fn folder() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a store?#%.esker");
+    (folder, path)
+}
+
+fn names(path: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(path.parent().unwrap()).unwrap();
+    let mut names: Vec<_> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn points_come_back_bit_for_bit(points in points(400)) {
+        let store = Store::in_memory(options()).unwrap();
+        replace(&store, points.clone());
+        let snapshot = store.snapshot().unwrap();
+        prop_assert_eq!(content(&snapshot).unwrap(), sorted(points.clone()));
+        let index = snapshot.index().unwrap();
+        for (i, head) in index.heads().iter().enumerate() {
+            let node = i as NodeIx;
+            prop_assert_eq!(index.find(0, head.cube), Some(node));
+            let children: Vec<_> = index.children(node).collect();
+            prop_assert_eq!(children.len(), head.children.count_ones() as usize);
+            prop_assert!(children.iter().all(|&c| index.parent(c) == Some(node)));
+            let below: usize = children.iter().map(|&c| index.subtree(c).len()).sum();
+            prop_assert_eq!(index.subtree(node).len(), below + 1);
+        }
+        prop_assert_eq!(index.find(0, elsewhere()), None);
+    }
+}
+
+#[test]
+fn a_store_on_disk_is_one_file_when_nobody_uses_it() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let points = some_points(2000);
+    replace(&store, points.clone());
+    drop(store);
+    assert_eq!(names(&path), ["a store?#%.esker"]);
+    let store = Store::open(&path).unwrap();
+    assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(points));
+    drop(store);
+    std::thread::sleep(Duration::from_millis(250));
+    assert_eq!(names(&path), ["a store?#%.esker"]);
+}
+
+#[test]
+fn a_reader_keeps_its_generation_across_flips() {
+    let (_folder, path) = folder();
+    for store in [Store::create(&path, options()).unwrap(), Store::in_memory(options()).unwrap()] {
+        let first = some_points(700);
+        replace(&store, first.clone());
+        let held = store.snapshot().unwrap();
+        // Long enough for several renewals, before and after the flip.
+        std::thread::sleep(Duration::from_millis(350));
+        assert!(!store.changed(&held).unwrap());
+        let second = some_points(1500);
+        replace(&store, second.clone());
+        std::thread::sleep(Duration::from_millis(350));
+        replace(&store, second.clone());
+        assert!(store.changed(&held).unwrap());
+        assert_eq!(content(&held).unwrap(), sorted(first));
+        let next = store.snapshot().unwrap();
+        assert_eq!(next.generation(), held.generation() + 2);
+        assert_eq!(content(&next).unwrap(), sorted(second.clone()));
+        drop(held);
+        // What the old generation left behind goes with the next flip.
+        replace(&store, second);
+        let left = store.snapshot().unwrap();
+        let rows: i64 = left.with(|c| Ok(c.query_row("SELECT count(*) FROM garbage", [], |r| r.get(0))?)).unwrap();
+        drop(next);
+        assert!(rows == 0 || store.path().is_none());
+    }
+}
+
+#[test]
+fn several_threads_read_one_snapshot() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let points = some_points(3000);
+    replace(&store, points.clone());
+    let snapshot = store.snapshot().unwrap();
+    let expected = sorted(points);
+    std::thread::scope(|scope| {
+        for _ in 0..12 {
+            scope.spawn(|| assert_eq!(content(&snapshot).unwrap(), expected));
+        }
+    });
+}
+
+#[test]
+fn the_log_stays_bounded_under_a_reader() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(100));
+    let held = store.snapshot().unwrap();
+    let mut writer = store.writer().unwrap();
+    let base = writer.chunk_ids().reserve(2000);
+    let cube = elsewhere();
+    let mut largest = 0;
+    for part in 0..480_u32 {
+        let bytes = vec![part as u8; 1 << 20];
+        let id = base + i64::from(part) * model::SLOT_STRIDE;
+        writer.put_chunks(&[ChunkRow { id, layer: 0, cube, part, slot: 0, points: 1, bytes }]).unwrap();
+        largest = largest.max(wal_bytes(&path));
+    }
+    // 480 MiB were written.
+    assert!((192 << 20..300 << 20).contains(&largest), "{largest}");
+    assert_eq!(content(&held).unwrap(), sorted(some_points(100)));
+    drop(writer);
+    assert_eq!(content(&held).unwrap(), sorted(some_points(100)));
+    assert_eq!(wal_bytes(&path), 0);
+}
+
+#[test]
+fn there_is_one_writer_and_it_is_named() {
+    let (_folder, path) = folder();
+    for store in [Store::create(&path, options()).unwrap(), Store::in_memory(options()).unwrap()] {
+        let writer = store.writer().unwrap();
+        let again = if store.path().is_some() { Store::open(&path).unwrap() } else { store.clone() };
+        let error = again.writer().unwrap_err();
+        assert!(matches!(error, StoreError::InUse { .. }), "{error}");
+        drop(writer);
+        again.writer().unwrap().abort();
+    }
+}
+
+#[test]
+fn a_writer_that_gives_up_leaves_nothing() {
+    let (_folder, path) = folder();
+    for store in [Store::create(&path, options()).unwrap(), Store::in_memory(options()).unwrap()] {
+        replace(&store, some_points(300));
+        let before = store.snapshot().unwrap();
+        let mut writer = store.writer().unwrap();
+        prepare(&mut writer, some_points(900), before.scans());
+        drop(writer);
+        assert!(!store.changed(&before).unwrap());
+        let writer = store.writer().unwrap();
+        assert_eq!(writer.leftovers(), Leftovers::default());
+        assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(300)));
+    }
+}
+
+#[test]
+fn what_a_crash_leaves_is_removed_by_the_next_writer() {
+    let (folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(300));
+    let snapshot = store.snapshot().unwrap();
+    let mut writer = store.writer().unwrap();
+    let mut change = prepare(&mut writer, some_points(900), snapshot.scans());
+    // A commit that is refused is like a crash before the flip, as far as the payload goes: its rows are committed.
+    change.scans_removed = vec![77];
+    writer.commit(change).unwrap_err();
+    let copy = folder.path().join("copy.esker");
+    std::fs::copy(&path, &copy).unwrap();
+    std::fs::copy(wal(&path), wal(&copy)).unwrap();
+    std::fs::write(spill_path(&copy, "17"), b"x").unwrap();
+    let store = Store::open(&copy).unwrap();
+    assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(300)));
+    let writer = store.writer().unwrap();
+    assert!(writer.leftovers().chunk_rows > 10);
+    assert_eq!(writer.leftovers().spill_files, 1);
+    drop(writer);
+    assert_eq!(store.writer().unwrap().leftovers(), Leftovers::default());
+    assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(300)));
+}
+
+#[test]
+fn a_change_that_contradicts_itself_is_refused_and_changes_nothing() {
+    let store = Store::in_memory(options()).unwrap();
+    let expect = |change: Flip, mut writer: Writer, word: &str| {
+        let error = writer.commit(change).unwrap_err().to_string();
+        assert!(error.contains(word), "{error}");
+        assert_eq!(store.snapshot().unwrap().generation(), 0);
+    };
+    let begin = || {
+        let mut writer = store.writer().unwrap();
+        let change = prepare(&mut writer, some_points(300), &[]);
+        (change, writer)
+    };
+    let (mut change, writer) = begin();
+    change.scans_added[0].read += 1;
+    expect(change, writer, "points read");
+    let (mut change, writer) = begin();
+    change.scans_added.pop();
+    expect(change, writer, "is not there");
+    let (mut change, writer) = begin();
+    change.roots = Some(vec![Some(elsewhere())]);
+    expect(change, writer, "root");
+    let (mut change, writer) = begin();
+    if let NodeChange::ReplaceAll(nodes) = &mut change.nodes {
+        nodes.remove(0);
+    }
+    expect(change, writer, "missing");
+    let (mut change, writer) = begin();
+    change.scans_added[0].id = 99;
+    expect(change, writer, "reserved");
+}
+
+#[test]
+fn deltas_keep_what_they_do_not_name() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(600));
+    let before = store.snapshot().unwrap();
+    let index = before.index().unwrap();
+    let mut writer = store.writer().unwrap();
+    let node = (index.len() / 2) as NodeIx;
+    let put = vec![(index.head(node).clone(), before.zones(node).unwrap().as_ref().clone())];
+    let committed =
+        writer.commit(Flip { nodes: NodeChange::Delta { put, delete: Vec::new() }, ..Flip::default() }).unwrap();
+    assert_eq!((committed.generation, committed.removed_rows), (2, 0));
+    let delete = vec![(0, index.head(node).cube)];
+    let change = Flip { nodes: NodeChange::Delta { put: Vec::new(), delete }, ..Flip::default() };
+    assert!(matches!(writer.commit(change), Err(StoreError::Inconsistent { .. })));
+    assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(600)));
+}
+
+#[test]
+fn removing_everything_gives_the_disk_back() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let empty = std::fs::metadata(&path).unwrap().len();
+    replace(&store, some_points(20_000));
+    assert!(std::fs::metadata(&path).unwrap().len() > 4 * empty);
+    let mut writer = store.writer().unwrap();
+    let change = Flip {
+        scans_removed: vec![1, 2],
+        roots: Some(vec![None]),
+        nodes: NodeChange::ReplaceAll(Vec::new()),
+        ..Flip::default()
+    };
+    assert!(writer.commit(change).unwrap().removed_rows > 100);
+    drop(writer);
+    drop(store);
+    assert!(std::fs::metadata(&path).unwrap().len() <= 2 * empty);
+}
+
+#[test]
+fn other_files_are_refused_by_name() {
+    let (folder, path) = folder();
+    let at = |name: &str| folder.path().join(name);
+    let refused = |path: &Path| {
+        let error = Store::open(path).unwrap_err();
+        assert!(error.to_string().contains(&*path.to_string_lossy()), "{error}");
+        error
+    };
+    assert!(matches!(refused(&at("missing")), StoreError::NotThere { .. }));
+    assert!(matches!(refused(folder.path()), StoreError::Directory { .. }));
+    std::fs::write(at("empty"), b"").unwrap();
+    assert!(matches!(refused(&at("empty")), StoreError::NotAStore { .. }));
+    std::fs::write(at("text"), "LASF".repeat(2000)).unwrap();
+    assert!(matches!(refused(&at("text")), StoreError::NotAStore { .. }));
+    Connection::open(at("other")).unwrap().execute_batch("CREATE TABLE t (a)").unwrap();
+    assert!(matches!(refused(&at("other")), StoreError::NotAStore { .. }));
+    drop(Store::create(&path, options()).unwrap());
+    Connection::open(&path).unwrap().execute_batch("PRAGMA user_version = 7").unwrap();
+    let error = refused(&path).to_string();
+    assert!(error.contains("version 7") && error.contains("up to 1"), "{error}");
+}
+
+#[test]
+fn a_new_store_replaces_no_file_and_adopts_no_log() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    assert!(matches!(Store::create(&path, options()), Err(StoreError::AlreadyThere { .. })));
+    let mut writer = store.writer().unwrap();
+    let change = prepare(&mut writer, some_points(300), &[]);
+    // A reader that began before keeps the log from being emptied.
+    let held = store.snapshot().unwrap();
+    writer.commit(change).unwrap();
+    let log = std::fs::read(wal(&path)).unwrap();
+    assert!(!log.is_empty());
+    drop((writer, held, store));
+    std::thread::sleep(Duration::from_millis(150));
+    std::fs::remove_file(&path).unwrap();
+    std::fs::write(wal(&path), &log).unwrap();
+    let store = Store::create(&path, options()).unwrap();
+    assert_eq!(store.snapshot().unwrap().generation(), 0);
+    assert!(store.snapshot().unwrap().scans().is_empty());
+    drop(store);
+    std::thread::sleep(Duration::from_millis(150));
+    // The same when another store is moved to where the deleted one was.
+    std::fs::write(wal(&path), &log).unwrap();
+    let before = std::fs::read(&path).unwrap();
+    assert!(matches!(Store::open(&path), Err(StoreError::ForeignWal { .. })));
+    assert_eq!(std::fs::read(&path).unwrap(), before);
+}
+
+#[test]
+fn reading_many_chunks_is_quick() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(20_000));
+    let snapshot = store.snapshot().unwrap();
+    let index = snapshot.index().unwrap();
+    let started = Instant::now();
+    let mut cost = ReadCost::default();
+    for head in index.heads() {
+        for part in 0..head.parts.len() {
+            snapshot.read_part(head, part, &[0, 1, 2, 3], &mut cost).unwrap();
+        }
+    }
+    assert!(cost.rows >= index.len() as u64 / 2);
+    // 50 microseconds a row would already be far too slow.
+    assert!(started.elapsed() < Duration::from_micros(50) * cost.rows as u32, "{:?} {cost:?}", started.elapsed());
+}
+
+#[test]
+fn bookmarks_come_back() {
+    let store = Store::in_memory(options()).unwrap();
+    let mut writer = store.writer().unwrap();
+    writer.put_bookmark("north", "{}").unwrap();
+    writer.put_bookmark("north", "{\"eye\":[1,2,3]}").unwrap();
+    let found = store.snapshot().unwrap().bookmarks().unwrap();
+    assert_eq!(found, [("north".to_owned(), "{\"eye\":[1,2,3]}".to_owned())]);
+    assert!(!beside(Path::new("a"), "-lock").exists());
+}

@@ -136,7 +136,7 @@ impl Camera {
             expected: "a direction, not zero",
         })?;
         let across = up_unit.cross(backward);
-        if !(across.length() >= MIN_UP_SINE) {
+        if !(MIN_UP_SINE..).contains(&across.length()) {
             return Err(CameraError::UpParallel);
         }
         let right = across.normalize();
@@ -186,10 +186,10 @@ impl Camera {
             }
         }
         (self.near, self.far) = (near, None);
-        if let Some(value) = far {
-            if !(value > self.near() && value <= MAX_COORDINATE) {
-                return Err(CameraError::Number { field: "far", value, expected: "beyond \"near\" and at most 1e15" });
-            }
+        if let Some(value) = far
+            && !(value > self.near() && value <= MAX_COORDINATE)
+        {
+            return Err(CameraError::Number { field: "far", value, expected: "beyond \"near\" and at most 1e15" });
         }
         self.far = far;
         Ok(self)

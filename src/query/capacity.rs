@@ -30,8 +30,9 @@ pub(crate) fn limited(plan: &Plan, finest: Option<u8>, capacity: u64) -> Result<
         return Ok(Chosen { picks: Vec::new(), error_bound: None });
     }
     let coarsest = plan.root().map_or(0, |r| r.k());
-    // Coarser levels cannot have enough points.
-    let start = (finest.unwrap_or(0)..=coarsest).rev().find(|&c| most.by_cell[usize::from(c)] >= capacity);
+    // More than enough, so that the first point that is left out is known: it says how good the answer is. Coarser levels
+    // cannot have so many.
+    let start = (finest.unwrap_or(0)..=coarsest).rev().find(|&c| most.by_cell[usize::from(c)] > capacity);
     let mut cell = start.or(finest);
     let mut picks = loop {
         let picks = match cell {
@@ -39,7 +40,7 @@ pub(crate) fn limited(plan: &Plan, finest: Option<u8>, capacity: u64) -> Result<
             None => everything(plan)?,
         };
         match cell {
-            Some(c) if (picks.len() as u64) < capacity && cell != finest => {
+            Some(c) if picks.len() as u64 <= capacity && cell != finest => {
                 cell = finer(c, picks.len() as u64, capacity, finest)
             }
             _ => break picks,

@@ -38,13 +38,13 @@ impl Detail {
                 Ok(finest.checked_sub(level).map(|c| c as u8))
             }
             Self::Spacing(spacing) => {
-                if !(spacing > 0.0) {
+                if !(f64::MIN_POSITIVE..).contains(&spacing) {
                     return refused("spacing", spacing, "a length above 0");
                 }
                 Ok((0..=coarsest).rev().find(|&c| 2_f64.powi(c.into()) * largest <= spacing))
             }
             Self::MaxError(error) => {
-                if !(error >= 0.0) {
+                if !(0.0..).contains(&error) {
                     return refused("max error", error, "a length of 0 or more");
                 }
                 let metric = Metric::new(quantum);

@@ -20,6 +20,8 @@ mod region;
 mod request;
 mod run;
 mod summary;
+#[cfg(test)]
+mod tests;
 mod view;
 
 pub use answer::{Answer, Statistics};

@@ -41,7 +41,7 @@ impl Region {
     /// [`QueryError::Region`] if a number is NaN or a minimum is above its maximum. Equal faces make an empty box.
     pub fn new_box(min: [f64; 3], max: [f64; 3]) -> Result<Self, QueryError> {
         for axis in 0..3 {
-            if !(min[axis] <= max[axis]) {
+            if !(..=max[axis]).contains(&min[axis]) {
                 let (low, high) = (min[axis], max[axis]);
                 let axis = ["x", "y", "z"][axis];
                 return Err(QueryError::Region(format!(
@@ -61,7 +61,7 @@ impl Region {
         if center.iter().any(|c| !c.is_finite()) {
             return Err(QueryError::Region("the centre of the sphere must be three finite numbers".into()));
         }
-        if !(radius >= 0.0) {
+        if !(0.0..).contains(&radius) {
             return Err(QueryError::Region(format!("the radius of the sphere is {radius}; it must be 0 or more")));
         }
         Ok(Self::Sphere { center, radius })

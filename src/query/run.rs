@@ -110,7 +110,7 @@ impl Query {
                         "a view has its detail in pixels; leave out the level, spacing or max error",
                     ));
                 }
-                if !(*max_error_px >= 0.0) {
+                if !(0.0..).contains(max_error_px) {
                     let (what, value) = ("the pixel error", *max_error_px);
                     return Err(QueryError::Detail { what, value, expected: "0 or more" });
                 }

@@ -133,7 +133,7 @@ fn within(column: &Column, set: &ValueSet) -> Mask {
             Column::F32(_) | Column::F64(_) => Mask::none(column.len()),
         },
         ValueSet::Floats { scaling: None, intervals } => match column {
-            Column::F32(v) => within_floats(v, |v| f64::from(v), intervals),
+            Column::F32(v) => within_floats(v, f64::from, intervals),
             Column::F64(v) => within_floats(v, |v| v, intervals),
             other => Mask::where_index(other.len(), |i| in_any(other.as_f64(i), intervals)),
         },

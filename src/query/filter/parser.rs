@@ -180,29 +180,23 @@ impl Parser<'_> {
 
     fn predicate(&mut self) -> Result<Expression, FilterError> {
         let left = self.operand()?;
-        if let Kind::Symbol(symbol) = *self.peek() {
-            if let Some(relation) = Relation::from_symbol(symbol) {
-                let at = self.at();
-                self.next += 1;
-                let right = self.operand()?;
-                if let Kind::Symbol(again) = *self.peek() {
-                    if Relation::from_symbol(again).is_some() {
-                        return Err(
-                            self.error("comparisons cannot be chained; write \"between\" or join two by \"and\"")
-                        );
-                    }
-                }
-                return match (left, right) {
-                    (Operand::Name(a), Operand::Name(b)) => Ok(Expression::Pair(a, relation, b)),
-                    (Operand::Name(a), Operand::Literal(b, at)) => Ok(Expression::Compare(a, relation, b, at)),
-                    (Operand::Literal(a, at), Operand::Name(b)) => {
-                        Ok(Expression::Compare(b, relation.mirrored(), a, at))
-                    }
-                    (Operand::Literal(..), Operand::Literal(..)) => {
-                        Err(FilterError::new("this compares two constants; name an attribute", self.text, at))
-                    }
-                };
+        if let Kind::Symbol(symbol) = *self.peek()
+            && let Some(relation) = Relation::from_symbol(symbol)
+        {
+            let at = self.at();
+            self.next += 1;
+            let right = self.operand()?;
+            if matches!(*self.peek(), Kind::Symbol(again) if Relation::from_symbol(again).is_some()) {
+                return Err(self.error("comparisons cannot be chained; write \"between\" or join two by \"and\""));
             }
+            return match (left, right) {
+                (Operand::Name(a), Operand::Name(b)) => Ok(Expression::Pair(a, relation, b)),
+                (Operand::Name(a), Operand::Literal(b, at)) => Ok(Expression::Compare(a, relation, b, at)),
+                (Operand::Literal(a, at), Operand::Name(b)) => Ok(Expression::Compare(b, relation.mirrored(), a, at)),
+                (Operand::Literal(..), Operand::Literal(..)) => {
+                    Err(FilterError::new("this compares two constants; name an attribute", self.text, at))
+                }
+            };
         }
         let name = match left {
             Operand::Name(name) => name,

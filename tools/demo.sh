@@ -21,8 +21,8 @@ echo "== making a site of five scans, 4 million points" >&2
 echo "== storing it" >&2
 "$esker" ingest "$out/site.esker" "$out/scans"
 "$esker" info "$out/site.esker"
-echo "== everything within 15 m of the first scanner, as LAZ" >&2
-"$esker" query "$out/site.esker" --box 499985,4999985,500015,5000015 -o "$out/region.laz"
+echo "== 30 by 30 metres in the middle, as LAZ" >&2
+"$esker" query "$out/site.esker" --box 689985,5329985,690015,5330015 -o "$out/region.laz"
 echo "== the ground at 25 cm" >&2
 "$esker" query "$out/site.esker" --where 'Classification = 2' --max-error 0.25 -o "$out/ground.laz"
 echo "== a picture of the whole site" >&2

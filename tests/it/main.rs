@@ -1,5 +1,6 @@
 //! All integration tests in one binary, so that SQLite and wgpu are linked once.
 
+mod answers;
 mod bad_input;
 mod canonical;
 mod fidelity;

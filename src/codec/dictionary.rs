@@ -24,17 +24,30 @@ fn index_bits(values: usize) -> u32 {
 
 /// Finds the different values and the index of each; `None` if there are more than [`MAX_VALUES`].
 pub(super) fn build(values: &[u64], indices: &mut Vec<u8>) -> Option<Table> {
+    let all = values.iter().fold(0, |all, v| all | v);
+    indices.clear();
+    if all < u64::from(u64::BITS) {
+        let there = values.iter().fold(0_u64, |there, v| there | 1 << v);
+        let table: Table = (0..u64::from(u64::BITS)).filter(|v| there >> v & 1 == 1).collect();
+        if table.len() > MAX_VALUES {
+            return None;
+        }
+        let rank: [u8; 64] = std::array::from_fn(|v| (there & ((1 << v) - 1)).count_ones() as u8);
+        indices.extend(values.iter().map(|v| rank[*v as usize & 63]));
+        return Some(table);
+    }
     let mut table = Vec::with_capacity(MAX_VALUES);
+    let mut before = None;
     for &value in values {
-        if !table.contains(&value) {
+        if before != Some(value) && !table.contains(&value) {
             if table.len() == MAX_VALUES {
                 return None;
             }
             table.push(value);
         }
+        before = Some(value);
     }
     table.sort_unstable();
-    indices.clear();
     // How many are smaller: the compiler compares several values at a time.
     indices.resize(values.len(), 0);
     for limit in &table[1..] {
@@ -114,7 +127,10 @@ mod tests {
     proptest! {
         #[test]
         fn few_values_come_back(
-            table in prop::collection::vec(any::<u64>(), 1..20),
+            table in prop_oneof![
+                prop::collection::vec(any::<u64>(), 1..20),
+                prop::collection::vec(0_u64..64, 1..20),
+            ],
             picks in prop::collection::vec(any::<prop::sample::Index>(), 1..600),
             few in 1_usize..20,
         ) {

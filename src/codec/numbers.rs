@@ -5,7 +5,7 @@
 
 use super::CodecError;
 use super::reader::Reader;
-use super::residual::{Plan, SYMBOL_BITS, count, entropy_bits, plan, put_residuals, read_residuals};
+use super::residual::{Plan, count, entropy_bits, plan, put_residuals, read_residuals};
 use super::scratch::NumberBuffers;
 use super::stream::{StreamReader, StreamWriter};
 
@@ -71,9 +71,7 @@ pub(super) fn choose(numbers: &[u64], buffers: &mut NumberBuffers) -> Choice {
         byte_differences.extend(bytes.first());
         byte_differences.extend(bytes.windows(2).map(|w| w[1].wrapping_sub(w[0])));
         for (way, symbols) in [(Way::Bytes, &*bytes), (Way::ByteDifferences, &*byte_differences)] {
-            let counts = count(symbols.iter().copied());
-            let table_bits = SYMBOL_BITS * counts.iter().filter(|n| **n > 0).count() as f32;
-            let cost_bits = entropy_bits(counts.into_iter()) + table_bits;
+            let cost_bits = entropy_bits(&count(symbols.iter().copied()));
             if cost_bits < best.cost_bits {
                 best = Choice { way, mantissa: 0, cost_bits };
             }

@@ -16,7 +16,7 @@ use std::sync::LazyLock;
 const MAX_MANTISSA: u32 = 8;
 
 /// What a symbol costs in the table of an entropy coder, in bits.
-pub(super) const SYMBOL_BITS: f32 = 5.0;
+const SYMBOL_BITS: f32 = 5.0;
 
 /// `n log2 n` for the counts of a block.
 static COUNT_LOG: LazyLock<Vec<f32>> = LazyLock::new(|| {
@@ -57,17 +57,18 @@ fn finest_mantissa(bits: u32) -> u32 {
     (0..=MAX_MANTISSA).rev().find(|m| (bits.saturating_sub(*m) + 1) << m <= 256).unwrap_or(0)
 }
 
-/// Bits that an order-0 coder needs for `counts`, without its table.
-pub(super) fn entropy_bits(counts: impl Iterator<Item = u32>) -> f32 {
-    let log = &*COUNT_LOG;
-    let of = |n: u32| log.get(n as usize).copied().unwrap_or_else(|| n as f32 * (n as f32).log2());
+/// `n log2 n`.
+fn count_log(n: u32) -> f32 {
+    COUNT_LOG.get(n as usize).copied().unwrap_or_else(|| n as f32 * (n as f32).log2())
+}
+
+/// Bits that an order-0 coder needs for symbols of which there are so many each, with its table.
+pub(super) fn entropy_bits(counts: &[u32; 256]) -> f32 {
     let (mut total, mut parts) = (0, 0.0);
-    for n in counts {
-        total += n;
-        parts += of(n);
+    for n in counts.iter().filter(|n| **n > 0) {
+        (total, parts) = (total + n, parts + count_log(*n) - SYMBOL_BITS);
     }
-    // Huffman codes spend a bit on the commonest symbol; runs of it are matched and cost less.
-    of(total) - parts
+    count_log(total) - parts
 }
 
 /// How often each symbol is there.
@@ -99,10 +100,15 @@ pub(super) fn plan(values: &[u64]) -> Plan {
     let scale = values.len() as f32 / counts.iter().sum::<u32>().max(1) as f32;
     let mut best = Plan { mantissa, cost_bits: f32::INFINITY };
     loop {
-        let used = || counts.iter().enumerate().filter(|(_, n)| **n > 0).map(|(s, n)| (s as u8, *n));
-        let tails: u32 = used().map(|(s, n)| n * join(s, mantissa).1).sum();
-        let sampled_bits = entropy_bits(used().map(|(_, n)| n)) + tails as f32;
-        let cost_bits = sampled_bits * scale + used().count() as f32 * SYMBOL_BITS;
+        let mut coarser = [0; 256];
+        let (mut used, mut tails, mut total, mut parts) = (0, 0, 0, 0.0);
+        for (symbol, n) in counts.iter().enumerate().filter(|(_, n)| **n > 0) {
+            let (base, tail) = join(symbol as u8, mantissa);
+            (used, tails, total, parts) = (used + 1, tails + n * tail, total + n, parts + count_log(*n));
+            coarser[usize::from(split(base, mantissa.saturating_sub(1)).0)] += n;
+        }
+        let sampled_bits = count_log(total) - parts + tails as f32;
+        let cost_bits = sampled_bits * scale + used as f32 * SYMBOL_BITS;
         if cost_bits < best.cost_bits {
             best = Plan { mantissa, cost_bits };
         } else if cost_bits > 1.02 * best.cost_bits {
@@ -111,8 +117,6 @@ pub(super) fn plan(values: &[u64]) -> Plan {
         if mantissa == 0 {
             return best;
         }
-        let mut coarser = [0; 256];
-        used().for_each(|(s, n)| coarser[usize::from(split(join(s, mantissa).0, mantissa - 1).0)] += n);
         counts = coarser;
         mantissa -= 1;
     }

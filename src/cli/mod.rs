@@ -1,8 +1,9 @@
 //! The command line: one file per command. Data on stdout, words on stderr; exit codes 0 ok, 1 error, 2 usage,
 //! 3 finished with rejected points under `--strict`, 130 interrupted.
 
+mod digest;
 mod generate;
-mod info_tmp;
+mod info;
 mod ingest;
 mod output;
 mod output_plan;
@@ -12,6 +13,7 @@ mod query;
 mod render;
 mod scans;
 mod values;
+mod verify;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -48,10 +50,12 @@ struct Arguments {
 enum Command {
     Ingest(ingest::Arguments),
     Scans(scans::Arguments),
-    
+    Info(info::Arguments),
     Query(query::Arguments),
     #[cfg(feature = "render")]
     Render(render::Arguments),
+    Verify(verify::Arguments),
+    Digest(digest::Arguments),
     Generate(generate::Arguments),
 }
 
@@ -63,10 +67,12 @@ pub fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Ingest(a) => ingest::run(a),
         Command::Scans(a) => scans::run(&a),
-        
+        Command::Info(a) => info::run(&a),
         Command::Query(a) => query::run(&a),
         #[cfg(feature = "render")]
         Command::Render(a) => render::run(&a),
+        Command::Verify(a) => verify::run(&a),
+        Command::Digest(a) => digest::run(&a),
         Command::Generate(a) => generate::run(a),
     };
     match result {

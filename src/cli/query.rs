@@ -229,7 +229,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::
     if answer.region_misses_site {
         let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
         if let Some(bounds) = bounds {
-            let (min, max) = super::info_tmp::world_bounds(&snapshot.site().lattice, &bounds);
+            let (min, max) = super::info::world_bounds(&snapshot.site().lattice, &bounds);
             eprintln!(
                 "esker: the region lies outside the site, whose bounds are {},{},{},{},{},{}",
                 min[0], min[1], min[2], max[0], max[1], max[2]

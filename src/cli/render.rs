@@ -86,7 +86,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
 
 fn camera(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Camera> {
     let site = snapshot.scans().iter().filter(|s| s.visible).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    let bounds = site.map(|b| super::info_tmp::world_bounds(&snapshot.site().lattice, &b));
+    let bounds = site.map(|b| super::info::world_bounds(&snapshot.site().lattice, &b));
     let (min, max) = bounds.unwrap_or(([0.0; 3], [1.0; 3]));
     let bounds = WorldBox::new(min, max).context("the site's bounds are no box")?;
     let camera = match (&arguments.view, &arguments.bookmark) {

@@ -21,7 +21,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let snapshot = store.snapshot()?;
     let lattice = &snapshot.site().lattice;
     if arguments.json {
-        let scans: Vec<_> = snapshot.scans().iter().map(|s| super::info_tmp::scan_json(s, lattice)).collect();
+        let scans: Vec<_> = snapshot.scans().iter().map(|s| super::info::scan_json(s, lattice)).collect();
         output::json(&serde_json::json!({ "scans": scans }))?;
         return Ok(Outcome::Done);
     }

@@ -52,8 +52,10 @@ impl RawLas {
         let header = las::raw::Header::read_from(&mut cursor).ok()?;
         let size = usize::from(header.point_data_record_length);
         let legacy = u64::from(header.number_of_point_records);
-        let count = match &header.large_file {
-            Some(large) if large.number_of_point_records > 0 => large.number_of_point_records,
+        // The `las` crate knows the 64-bit count of version 1.4 only.
+        let large = if header.version.minor >= 4 { bytes.get(247..255) } else { None };
+        let count = match large.map(|b| u64::from_le_bytes(b.try_into().unwrap())) {
+            Some(large) if large > 0 => large,
             _ => legacy,
         };
         let compressed = header.point_data_record_format & 0x80 != 0;

@@ -2,7 +2,8 @@
 //! at once, one [`EncodeScratch`] each.
 
 use super::model::{
-    NodeHead, PartHead, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanCount, ScanId, Slot, StoredAttribute, Zones,
+    NodeHead, PartHead, Range, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanCount, ScanId, Shape, Slot, StoredAttribute,
+    Zones,
 };
 use super::rows::{ChunkRow, pack};
 use super::shape::Relative;
@@ -120,27 +121,11 @@ pub fn encode_node<K: SortKey>(
     scratch: &mut EncodeScratch,
 ) -> Result<EncodedNode, CodecError> {
     let NodeInput { layer, cube, leaf, children, keys, wins, scans, columns } = *input;
-    assert!(wins.len() == keys.len() && scans.len() == keys.len(), "a node's columns have one length");
-    assert!(columns.iter().all(|c| c.1.len() == keys.len()), "a node's columns have one length");
-    let counts = count_scans(scans);
-    scratch.relative.fill(cube, keys);
-    let bounds = scratch.relative.bounds(cube);
-    let mut shape = scratch.relative.shape(cube);
-    shape.color = mean_color(input, table, &counts);
-
-    let mut zones = Zones::default();
+    assert!(wins.len() == keys.len(), "a node's columns have one length");
+    let Description { scans: counts, bounds, shape, zones } = describe(input, table, &mut scratch.relative);
+    let zones = Zones { subtree: zones.clone(), own: zones };
     let mut sorted: Vec<&(Slot, Column)> = columns.iter().collect();
     sorted.sort_by_key(|c| c.0);
-    for (slot, column) in &sorted {
-        let having = counts.iter().filter(|c| table.has(c.scan, *slot)).count();
-        let range = match having {
-            0 => None,
-            n if n == counts.len() => range_of_all(column),
-            _ => range_where(column, |i| table.has(scans[i], *slot)),
-        };
-        zones.own.extend(range.map(|r| (*slot, r)));
-    }
-    zones.subtree = zones.own.clone();
 
     let plan = octree::split(wins, &octree::steps(keys, wins));
     let base = ids.reserve(plan.len());
@@ -205,6 +190,42 @@ pub fn encode_node<K: SortKey>(
         put_part(&mut head, part, pieces, &mut chunks);
     }
     Ok(EncodedNode { head, zones, chunks })
+}
+
+/// What a node's row says of its own points, apart from how they are cut into parts: a function of the points alone.
+#[derive(Debug, PartialEq)]
+pub(super) struct Description {
+    pub scans: Vec<ScanCount>,
+    pub bounds: Option<LatticeBox>,
+    pub shape: Shape,
+    /// Ascending by slot.
+    pub zones: Vec<(Slot, Range)>,
+}
+
+/// Describes a node's own points; `wins` are not looked at.
+pub(super) fn describe<K: SortKey>(
+    input: &NodeInput<'_, K>,
+    table: &ScanTable,
+    relative: &mut Relative,
+) -> Description {
+    let NodeInput { cube, keys, scans, columns, .. } = *input;
+    assert!(scans.len() == keys.len(), "a node's columns have one length");
+    assert!(columns.iter().all(|c| c.1.len() == keys.len()), "a node's columns have one length");
+    let counts = count_scans(scans);
+    relative.fill(cube, keys);
+    let shape = Shape { color: mean_color(input, table, &counts), ..relative.shape(cube) };
+    let mut zones: Vec<(Slot, Range)> = Vec::with_capacity(columns.len());
+    for (slot, column) in columns {
+        let having = counts.iter().filter(|c| table.has(c.scan, *slot)).count();
+        let range = match having {
+            0 => None,
+            n if n == counts.len() => range_of_all(column),
+            _ => range_where(column, |i| table.has(scans[i], *slot)),
+        };
+        zones.extend(range.map(|r| (*slot, r)));
+    }
+    zones.sort_by_key(|z| z.0);
+    Description { scans: counts, bounds: relative.bounds(cube), shape, zones }
 }
 
 /// Decides which columns of the part share a row, and makes the rows. `pieces` ascend by slot.

@@ -109,6 +109,14 @@ pub enum StoreError {
         /// The system's word.
         source: std::io::Error,
     },
+    /// A valid store, but something that this version does not do.
+    #[error("{path}: {what} is not supported by this version")]
+    Unsupported {
+        /// The store.
+        path: PathBuf,
+        /// The feature.
+        what: String,
+    },
     /// SQLite failed otherwise.
     #[error("{path}: SQLite failed")]
     Sqlite {

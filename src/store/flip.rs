@@ -107,10 +107,12 @@ fn put_nodes(connection: &Connection, change: NodeChange) -> Result<(Ranges, BTr
     let mut put = match change {
         NodeChange::Keep => return Ok((old, BTreeSet::new())),
         NodeChange::ReplaceAll(nodes) => {
-            rows::load_nodes(connection, |head| {
-                note(&mut old, &head?);
-                Ok(())
+            let mut wrong = None;
+            rows::load_nodes(connection, |head| match head {
+                Ok(head) => note(&mut old, &head),
+                Err(e) => wrong = Some(e),
             })?;
+            wrong.map_or(Ok(()), Err)?;
             connection.execute_batch("DELETE FROM node; DELETE FROM zone")?;
             nodes
         }
@@ -170,7 +172,8 @@ fn check(connection: &Connection) -> Result<(), RowError> {
         e => e,
     };
     let (site, scans, _) = facts(connection).map_err(mistake)?;
-    let index = NodeIndex::load(connection, &site).map_err(mistake)?;
+    let (index, damage) = NodeIndex::load(connection, &site);
+    damage.into_iter().next().map_or(Ok(()), |e| Err(mistake(e)))?;
     match conservation(&index, &scans).into_iter().next() {
         Some((scan, what)) => Err(RowError::Inconsistent(format!("scan {scan}: {what}"))),
         None => Ok(()),

@@ -11,7 +11,6 @@ use super::snapshot::{Inner, Snapshot};
 use super::writer::Writer;
 use crate::lattice::Lattice;
 use crate::points::Crs;
-use rusqlite::Connection;
 use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::{Arc, Mutex, Weak};
@@ -195,21 +194,4 @@ fn first_row(options: SiteOptions) -> SiteRow {
         scans: 0,
         attributes: 0,
     }
-}
-
-/// Runs `f` with a connection of its own in no transaction: for checks that go beyond a snapshot.
-pub(super) fn with_connection<R>(
-    place: &Place,
-    f: impl FnOnce(&Connection) -> Result<R, RowError>,
-) -> Result<R, StoreError> {
-    match place {
-        Place::Memory(memory) => f(&lock(&memory.connection)),
-        Place::File(file) => {
-            let connection = file.connect()?;
-            let result = f(&connection);
-            file.give_back(connection);
-            result
-        }
-    }
-    .map_err(|e| place.error(e))
 }

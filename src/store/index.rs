@@ -3,7 +3,7 @@
 use super::error::RowError;
 use super::model::{NodeHead, ScanCount};
 use super::rows::{SiteRow, load_nodes};
-use crate::lattice::Cube;
+use crate::lattice::{Cube, LatticeBox};
 use rusqlite::Connection;
 use std::ops::Range;
 
@@ -105,10 +105,15 @@ impl NodeIndex {
         found.ok().map(|i| start + i as NodeIx)
     }
 
-    /// Reads and checks all nodes.
-    pub(super) fn load(connection: &Connection, site: &SiteRow) -> Result<Self, RowError> {
-        let mut builder = Builder::new(site);
-        load_nodes(connection, |head| builder.push(head?))?;
+    /// Reads and checks all nodes. What is damaged is left out, with all that lies below it, and told: the index is
+    /// whole only if nothing is.
+    pub(super) fn load(connection: &Connection, site: &SiteRow) -> (Self, Vec<RowError>) {
+        let mut builder = Builder { site, index: Self::default(), path: Vec::new(), damage: Vec::new() };
+        let loaded = load_nodes(connection, |head| {
+            let pushed = head.and_then(|head| builder.push(head));
+            builder.damage.extend(pushed.err());
+        });
+        builder.damage.extend(loaded.err());
         builder.finish()
     }
 }
@@ -119,6 +124,7 @@ struct Builder<'a> {
     index: NodeIndex,
     /// From a root down to the last node: what is still missing of each.
     path: Vec<Open>,
+    damage: Vec<RowError>,
 }
 
 /// A node whose subtree is not complete yet.
@@ -127,30 +133,27 @@ struct Open {
     children_seen: u8,
     points: u64,
     scans: Vec<ScanCount>,
-    bounds: Option<crate::lattice::LatticeBox>,
+    bounds: Option<LatticeBox>,
 }
 
 fn damage(head: &NodeHead, what: impl Into<String>) -> RowError {
     RowError::damage("node", super::rows::name_of(head), what)
 }
 
-impl<'a> Builder<'a> {
-    fn new(site: &'a SiteRow) -> Self {
-        Self { site, index: NodeIndex::default(), path: Vec::new() }
-    }
-
+impl Builder<'_> {
     fn push(&mut self, head: NodeHead) -> Result<(), RowError> {
         let layer = usize::from(head.layer);
         if layer >= self.site.site.roots.len() {
             return Err(damage(&head, "the site has no such layer"));
         }
         if layer >= self.index.layers.len() {
-            self.close_to(0)?;
-            self.open_layers(layer)?;
+            self.close_all();
+            self.open_layers(layer);
         }
-        while self.path.last().is_some_and(|open| !self.head(open).cube.contains_cube(head.cube)) {
-            self.close_last()?;
+        while self.path.last().is_some_and(|open| !self.index.head(open.node).cube.contains_cube(head.cube)) {
+            self.close_last();
         }
+        check_alone(&head, self.site)?;
         let node = self.index.heads.len() as NodeIx;
         let parent = match self.path.last_mut() {
             Some(open) => {
@@ -165,7 +168,6 @@ impl<'a> Builder<'a> {
             None if self.site.site.roots[layer] == Some(head.cube) => None,
             None => return Err(damage(&head, "is neither the root of its layer nor below it")),
         };
-        check_alone(&head, self.site)?;
         self.path.push(Open {
             node,
             children_seen: 0,
@@ -179,84 +181,66 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    fn head(&self, open: &Open) -> &NodeHead {
-        &self.index.heads[open.node as usize]
-    }
-
-    /// Empty layers up to `layer`, then that one.
-    fn open_layers(&mut self, layer: usize) -> Result<(), RowError> {
+    /// Layers without nodes before `layer`, then that one.
+    fn open_layers(&mut self, layer: usize) {
         let here = self.index.heads.len() as NodeIx;
-        for empty in self.index.layers.len()..layer {
-            if self.site.site.roots[empty].is_some() {
-                return Err(RowError::damage("node", format!("layer {empty}"), "the root is missing"));
-            }
-            self.index.layers.push(here..here);
-        }
-        self.index.layers.push(here..here);
-        Ok(())
+        self.index.layers.resize(layer + 1, here..here);
     }
 
-    fn close_to(&mut self, depth: usize) -> Result<(), RowError> {
-        while self.path.len() > depth {
-            self.close_last()?;
+    fn close_all(&mut self) {
+        while !self.path.is_empty() {
+            self.close_last();
         }
-        Ok(())
     }
 
     /// The last node of the path is complete: is it what its row says?
-    fn close_last(&mut self) -> Result<(), RowError> {
-        let Some(open) = self.path.pop() else { return Ok(()) };
+    fn close_last(&mut self) {
+        let Some(open) = self.path.pop() else { return };
         let end = self.index.heads.len() as NodeIx;
-        let head = &self.index.heads[open.node as usize];
-        let missing = head.children & !open.children_seen;
-        if missing != 0 {
-            return Err(damage(head, format!("the child in octant {} is missing", missing.trailing_zeros())));
-        }
-        if open.points != head.subtree_points || open.bounds != Some(head.subtree_bounds) {
-            return Err(damage(head, "count or bounds of the subtree are not those of its parts"));
-        }
-        if !open.scans.iter().eq(&head.scans) {
-            return Err(damage(head, "the counts by scan are not those of the subtree's parts"));
-        }
         self.index.ends[open.node as usize] = end;
-        if let Some(parent) = self.path.last_mut() {
-            let above = &self.index.heads[parent.node as usize];
-            parent.points = parent.points.saturating_add(open.points);
-            let bounds = head.subtree_bounds;
-            parent.bounds = Some(parent.bounds.map_or(bounds, |p| p.union(&bounds)));
-            for scan in &open.scans {
-                match parent.scans.binary_search_by_key(&scan.scan, |s| s.scan) {
-                    Ok(i) => {
-                        parent.scans[i].subtree = parent.scans[i].subtree.saturating_add(scan.subtree);
-                    }
-                    Err(_) => return Err(damage(above, format!("points of scan {} below are not counted", scan.scan))),
-                }
-            }
-        }
         if let Some(layer) = self.index.layers.last_mut() {
             layer.end = end;
         }
-        Ok(())
+        let head = &self.index.heads[open.node as usize];
+        let missing = head.children & !open.children_seen;
+        let same_scans = open.scans.iter().filter(|s| s.subtree > 0).eq(&head.scans);
+        self.damage.extend(if missing != 0 {
+            Some(damage(head, format!("the child in octant {} is missing", missing.trailing_zeros())))
+        } else if open.points != head.subtree_points || open.bounds != Some(head.subtree_bounds) || !same_scans {
+            Some(damage(head, "counts or bounds of the subtree are not those of its parts"))
+        } else {
+            None
+        });
+        // What the row says goes up, so that one damage is told once.
+        let Some(parent) = self.path.last_mut() else { return };
+        parent.points = parent.points.saturating_add(head.subtree_points);
+        let bounds = head.subtree_bounds;
+        parent.bounds = Some(parent.bounds.map_or(bounds, |p| p.union(&bounds)));
+        for scan in &head.scans {
+            match parent.scans.binary_search_by_key(&scan.scan, |s| s.scan) {
+                Ok(i) => parent.scans[i].subtree = parent.scans[i].subtree.saturating_add(scan.subtree),
+                Err(i) => parent.scans.insert(i, ScanCount { own: 0, ..*scan }),
+            }
+        }
     }
 
-    fn finish(mut self) -> Result<NodeIndex, RowError> {
-        self.close_to(0)?;
+    fn finish(mut self) -> (NodeIndex, Vec<RowError>) {
+        self.close_all();
         let layers = self.site.site.roots.len();
         if self.index.layers.len() < layers {
-            self.open_layers(layers - 1)?;
-            if self.site.site.roots[layers - 1].is_some() {
-                return Err(RowError::damage("node", format!("layer {}", layers - 1), "the root is missing"));
+            self.open_layers(layers - 1);
+        }
+        for (layer, root) in self.site.site.roots.iter().enumerate() {
+            if root.is_some() && self.index.layers[layer].is_empty() {
+                self.damage.push(RowError::damage("node", format!("layer {layer}"), "the root is missing"));
             }
         }
         let (found, expected) = (self.index.heads.len() as u64, self.site.nodes);
-        if found != expected {
-            return Err(RowError::damage(
-                "node",
-                "all rows",
-                format!("there are {found}, but {expected} were written"),
-            ));
+        if found != expected && self.damage.is_empty() {
+            let what = format!("there are {found}, but {expected} were written");
+            self.damage.push(RowError::damage("node", "all rows", what));
         }
-        Ok(self.index)
+        (self.index, self.damage)
     }
 }
 

@@ -2,13 +2,17 @@
 
 mod checksum;
 mod connection;
+#[cfg(test)]
+mod damage_tests;
 mod decode;
+mod digest;
 mod encode;
 mod error;
 mod files;
 mod flip;
 mod handle;
 mod index;
+mod info;
 mod lanes;
 mod lock;
 pub mod model;
@@ -21,18 +25,22 @@ mod summary;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod verify;
 mod writer;
 mod zones;
 
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
+pub use digest::{Digest, digest};
 pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, ScanTable, encode_node};
 pub use error::StoreError;
 pub use files::{SPILL_SUFFIX, spill_path};
 pub use flip::{Flip, NodeChange};
 pub use handle::{SiteOptions, Store};
 pub use index::{NodeIndex, NodeIx};
+pub use info::{Info, info};
 pub use rows::{ChunkRow, pack};
 pub use snapshot::{ChunkBytes, ReadCost, Snapshot};
 pub use summary::{Summary, merge_subtree};
+pub use verify::{Finding, Report, verify};
 pub use writer::{ChunkIds, Committed, Leftovers, Writer};

@@ -196,9 +196,9 @@ mod tests {
             }
             let side = cube.side() as f64;
             let n = points.len() as f64;
-            for a in 0..3 {
+            for (a, found) in shape.mean.into_iter().enumerate() {
                 let mean = points.iter().map(|p| (p.0[a] - low[a]) as f64).sum::<f64>() / n;
-                prop_assert!((mean - shape.mean[a]).abs() <= side * 1e-12);
+                prop_assert!((mean - found).abs() <= side * 1e-12);
             }
             for (m, (i, j)) in PAIRS.into_iter().enumerate() {
                 let about = |p: &LatticePoint, a: usize| (p.0[a] - low[a]) as f64 - shape.mean[a];

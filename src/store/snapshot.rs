@@ -111,8 +111,22 @@ impl Snapshot {
         if let Some(index) = self.inner.index.get() {
             return Ok(index.clone());
         }
-        let index = Arc::new(self.inner.with(|c| NodeIndex::load(c, &self.inner.site))?);
-        Ok(self.inner.index.get_or_init(|| index).clone())
+        let index = self.inner.with(|c| whole_index(c, &self.inner.site))?;
+        Ok(self.inner.index.get_or_init(|| Arc::new(index)).clone())
+    }
+
+    /// What can be read of the nodes of a damaged store, and what is wrong with the rest. A damaged node is left out
+    /// with all that lies below it, so counts above it are not those of what is there.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError`] if nothing can be read.
+    pub fn readable_index(&self) -> Result<(Arc<NodeIndex>, Vec<StoreError>), StoreError> {
+        if let Some(index) = self.inner.index.get() {
+            return Ok((index.clone(), Vec::new()));
+        }
+        let (index, damage) = self.inner.with(|c| Ok(NodeIndex::load(c, &self.inner.site)))?;
+        Ok((Arc::new(index), damage.into_iter().map(|e| self.inner.place.error(e)).collect()))
     }
 
     /// The zone maps of a node of [`Snapshot::index`], kept after the first call.
@@ -191,6 +205,11 @@ impl Snapshot {
     }
 }
 
+fn whole_index(connection: &Connection, site: &SiteRow) -> Result<NodeIndex, RowError> {
+    let (index, damage) = NodeIndex::load(connection, site);
+    damage.into_iter().next().map_or(Ok(index), Err)
+}
+
 /// See [`Snapshot::read_part`].
 fn read_part(
     connection: &Connection,
@@ -255,7 +274,7 @@ impl Inner {
         };
         let connection = lock(&memory.connection);
         let (site, scans, attributes) = facts(&connection)?;
-        let index = NodeIndex::load(&connection, &site)?;
+        let index = whole_index(&connection, &site)?;
         let zones = index
             .heads()
             .iter()
@@ -315,6 +334,9 @@ pub(super) fn facts(connection: &Connection) -> Result<(SiteRow, Vec<Scan>, Vec<
     }
     for scan in &scans {
         let known = |slot: &Slot| attributes.binary_search_by_key(slot, |a| a.id).is_ok();
+        if scan.id >= site.next_scan {
+            return Err(RowError::damage("scan", format!("scan {}", scan.id), "the number was never given out"));
+        }
         if !scan.attributes.iter().all(known) {
             return Err(RowError::damage("scan", format!("scan {}", scan.id), "has an attribute that is missing"));
         }

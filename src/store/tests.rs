@@ -322,6 +322,39 @@ fn reading_many_chunks_is_quick() {
 }
 
 #[test]
+fn a_full_disk_leaves_the_store_as_it_was() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(300));
+    let before = store.snapshot().unwrap();
+    let full = |at_flip: bool| {
+        let mut writer = store.writer().unwrap();
+        let change = prepare(&mut writer, some_points(if at_flip { 900 } else { 0 }), before.scans());
+        writer.limit_pages(before.with(|c| Ok(c.query_row("PRAGMA page_count", [], |r| r.get(0))?)).unwrap());
+        let row = ChunkRow {
+            id: writer.chunk_ids().reserve(1),
+            layer: 0,
+            cube: elsewhere(),
+            part: 0,
+            slot: 0,
+            points: 1,
+            bytes: vec![7; 1 << 20],
+        };
+        let error = if at_flip { writer.commit(change).unwrap_err() } else { writer.put_chunks(&[row]).unwrap_err() };
+        assert!(matches!(error, StoreError::Full { .. }), "{error}");
+        if !at_flip {
+            assert!(matches!(writer.commit(Flip::default()), Err(StoreError::Inconsistent { .. })));
+        }
+    };
+    full(false);
+    full(true);
+    assert!(!store.changed(&before).unwrap());
+    assert!(verify(&store, true, &|_, _| {}).is_whole());
+    replace(&store, some_points(900));
+    assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(900)));
+}
+
+#[test]
 fn bookmarks_come_back() {
     let store = Store::in_memory(options()).unwrap();
     let mut writer = store.writer().unwrap();

@@ -307,6 +307,13 @@ impl Writer {
         .map_err(|e| self.place.error(e))
     }
 
+    /// Makes the disk full beyond so many pages.
+    #[cfg(test)]
+    pub(super) fn limit_pages(&self, pages: i64) {
+        let limit = format!("PRAGMA max_page_count = {pages}");
+        self.run(|c| Ok(c.query_row(&limit, [], |_| Ok(()))?)).unwrap();
+    }
+
     fn roll_back(&mut self) {
         self.pending_bytes = None;
         let _ = self.run(|c| if c.is_autocommit() { Ok(()) } else { Ok(c.execute_batch("ROLLBACK")?) });

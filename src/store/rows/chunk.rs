@@ -113,6 +113,13 @@ pub(in crate::store) fn read_chunk(
     Ok(bytes.to_vec())
 }
 
+/// The ranges of ids that wait to be removed, both ends inside, ascending.
+pub(in crate::store) fn load_garbage(connection: &Connection) -> Result<Vec<(i64, i64)>, RowError> {
+    let mut statement = connection.prepare_cached("SELECT first, last FROM garbage ORDER BY first")?;
+    let ranges = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    Ok(ranges.collect::<Result<_, _>>()?)
+}
+
 /// The bytes of a packed row: how many columns, per column its slot and length as varints, then the columns.
 pub fn pack<'a>(columns: impl ExactSizeIterator<Item = (Slot, &'a [u8])> + Clone) -> Vec<u8> {
     let mut put = Put::default();

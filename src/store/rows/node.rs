@@ -44,12 +44,12 @@ pub(super) fn row_name(row: &Row<'_>) -> String {
 /// All node rows in order of layer and key, given to `each` one by one; a row that is damaged is given as an error.
 pub(in crate::store) fn load_nodes(
     connection: &Connection,
-    mut each: impl FnMut(Result<NodeHead, RowError>) -> Result<(), RowError>,
+    mut each: impl FnMut(Result<NodeHead, RowError>),
 ) -> Result<(), RowError> {
     let mut statement = connection.prepare_cached("SELECT layer, key, head, checksum FROM node ORDER BY layer, key")?;
     let mut rows = statement.query([])?;
     while let Some(row) = rows.next()? {
-        each(decode(row))?;
+        each(decode(row));
     }
     Ok(())
 }

@@ -1,0 +1,197 @@
+//! One node: its chunks decode, and its row and zone maps say of its points what is true.
+
+use super::super::decode::{DecodedPart, decode_part};
+use super::super::encode::{Description, NodeInput, ScanTable, describe};
+use super::super::model::{FIRST_ATTRIBUTE, NodeHead, ScanId, Slot, Zones};
+use super::super::rows;
+use super::super::shape::Relative;
+use super::super::snapshot::Snapshot;
+use super::{Finding, finding};
+use crate::codec::{BLOCK_POINTS, Decoder};
+use crate::lattice::{Key, LatticeBox};
+use crate::octree::Params;
+use crate::points::Column;
+use std::collections::BTreeMap;
+
+/// What was found of one node.
+#[derive(Debug, Default)]
+pub(super) struct NodeTally {
+    /// Scan, points, their bounds.
+    pub scans: Vec<(ScanId, u64, LatticeBox)>,
+    /// The zone maps, if they can be read.
+    pub zones: Option<Zones>,
+    pub findings: Vec<Finding>,
+}
+
+/// What checking keeps from node to node.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    decoder: Decoder,
+    relative: Relative,
+}
+
+/// Checks the nodes of a snapshot.
+#[derive(Debug)]
+pub(super) struct Checker<'a> {
+    snapshot: &'a Snapshot,
+    table: ScanTable,
+    params: Params,
+}
+
+impl<'a> Checker<'a> {
+    pub fn new(snapshot: &'a Snapshot) -> Self {
+        let mut table = ScanTable::new(snapshot.attributes());
+        snapshot.scans().iter().for_each(|s| table.insert(s.id, &s.attributes, s.color_depth));
+        let site = snapshot.site();
+        Self { snapshot, table, params: Params { g: site.g, leaf_capacity: site.leaf_capacity } }
+    }
+
+    pub fn check(&self, head: &NodeHead, scratch: &mut Scratch) -> NodeTally {
+        let mut tally = NodeTally::default();
+        let wrong = |table: &str, what: String| Finding { table: table.into(), key: rows::name_of(head), what };
+        if head.leaf != self.params.is_leaf(head.cube.k(), head.subtree_points) {
+            tally.findings.push(wrong("node", "whether it is a leaf does not follow from its count".into()));
+        }
+        let mut parts = Vec::with_capacity(head.parts.len());
+        for part in 0..head.parts.len() {
+            match decode_part(self.snapshot, head, part, &mut scratch.decoder) {
+                Ok(decoded) => parts.push(decoded),
+                Err(e) => tally.findings.push(finding(e)),
+            }
+        }
+        for (i, part) in parts.iter().enumerate() {
+            let found = self.check_part(head, part);
+            tally.findings.extend(found.map(|what| wrong("chunk", format!("part {i}: {what}"))));
+            count(part, &mut tally.scans);
+        }
+        match self.snapshot.with(|c| rows::load_zones(c, head.layer, head.cube)) {
+            Ok(zones) => tally.zones = Some(zones),
+            Err(e) => tally.findings.push(finding(e)),
+        }
+        if parts.len() == head.parts.len() {
+            let description = self.describe(head, parts, scratch);
+            let what = differences(head, tally.zones.as_ref(), &description);
+            tally.findings.extend(what.map(|(table, what)| wrong(table, what.into())));
+        }
+        tally
+    }
+
+    /// Order, containment, blocks, and which columns there are.
+    fn check_part(&self, head: &NodeHead, part: &DecodedPart) -> Option<String> {
+        if !part.keys.is_sorted() {
+            return Some("the points are not in key order".into());
+        }
+        let points: Vec<_> = part.keys.iter().map(|k| k.point()).collect();
+        if !points.iter().all(|&p| head.cube.contains(p)) {
+            return Some("a point is outside of the node's cube".into());
+        }
+        let tight = points
+            .chunks(BLOCK_POINTS)
+            .map(|block| block.iter().map(|&p| LatticeBox::of(p)).reduce(|a, b| a.union(&b)));
+        if !tight.eq(part.blocks.iter().map(|b| Some(*b))) {
+            return Some("the bounds of a block are not those of its points".into());
+        }
+        let present = runs(&part.scans);
+        if let Some(scan) = present.keys().find(|s| self.snapshot.scan(**s).is_none()) {
+            return Some(format!("there are points of scan {scan}, which is not there"));
+        }
+        let has = |slot: Slot| present.keys().any(|&s| self.table.has(s, slot));
+        let expected = self.snapshot.attributes().iter().map(|a| a.id).filter(|&s| has(s));
+        if !expected.eq(part.columns.iter().map(|c| c.0)) {
+            return Some("the columns are not those of its scans' attributes".into());
+        }
+        for (slot, column) in &part.columns {
+            let lacks = |i: &usize| !self.table.has(part.scans[*i], *slot);
+            if present.keys().all(|&s| self.table.has(s, *slot)) {
+                continue;
+            }
+            if (0..part.scans.len()).filter(lacks).any(|i| column.raw(i) != [0; 8]) {
+                return Some(format!("column {slot} has a value at a point whose scan lacks it"));
+            }
+        }
+        None
+    }
+
+    /// What the row and the zone maps should say, from the points in key order.
+    fn describe(&self, head: &NodeHead, parts: Vec<DecodedPart>, scratch: &mut Scratch) -> Description {
+        let keys: Vec<Key> = parts.iter().flat_map(|p| p.keys.iter().copied()).collect();
+        let mut order: Vec<u32> = (0..keys.len() as u32).collect();
+        order.sort_by_key(|&i| keys[i as usize]);
+        let scans: Vec<ScanId> = parts.iter().flat_map(|p| p.scans.iter().copied()).collect();
+        let mut columns = Vec::new();
+        for stored in self.snapshot.attributes() {
+            let of = |p: &DecodedPart| p.columns.iter().position(|c| c.0 == stored.id);
+            if stored.id < FIRST_ATTRIBUTE || !parts.iter().any(|p| of(p).is_some()) {
+                continue;
+            }
+            let mut all = Column::with_capacity(stored.attribute.ty, keys.len());
+            for part in &parts {
+                match of(part) {
+                    Some(i) => all.append(&part.columns[i].1),
+                    None => all.resize(all.len() + part.keys.len()),
+                }
+            }
+            let mut sorted = Column::with_capacity(stored.attribute.ty, keys.len());
+            sorted.extend_gathered(&all, &order);
+            columns.push((stored.id, sorted));
+        }
+        let input = NodeInput {
+            layer: head.layer,
+            cube: head.cube,
+            leaf: head.leaf,
+            children: head.children,
+            keys: &order.iter().map(|&i| keys[i as usize]).collect::<Vec<_>>(),
+            wins: &[],
+            scans: &order.iter().map(|&i| scans[i as usize]).collect::<Vec<_>>(),
+            columns: &columns,
+        };
+        describe(&input, &self.table, &mut scratch.relative)
+    }
+}
+
+/// What a node's rows say wrongly.
+fn differences(
+    head: &NodeHead,
+    zones: Option<&Zones>,
+    description: &Description,
+) -> Option<(&'static str, &'static str)> {
+    let own: Vec<_> = head.scans.iter().filter(|s| s.own > 0).map(|s| (s.scan, s.own)).collect();
+    if own != description.scans.iter().map(|s| (s.scan, s.own)).collect::<Vec<_>>() {
+        Some(("node", "the counts by scan are not those of its points"))
+    } else if head.own_bounds != description.bounds {
+        Some(("node", "the bounds are not those of its points"))
+    } else if head.shape != description.shape {
+        Some(("node", "spacing, moments, radius or colour are not those of its points"))
+    } else if zones.is_some_and(|z| z.own != description.zones) {
+        Some(("zone", "the zone maps are not those of its points"))
+    } else {
+        None
+    }
+}
+
+/// Points by scan.
+fn runs(scans: &[ScanId]) -> BTreeMap<ScanId, u64> {
+    let mut counts = BTreeMap::new();
+    for run in scans.chunk_by(|a, b| a == b) {
+        *counts.entry(run[0]).or_default() += run.len() as u64;
+    }
+    counts
+}
+
+/// Adds a part's points and their bounds.
+fn count(part: &DecodedPart, scans: &mut Vec<(ScanId, u64, LatticeBox)>) {
+    let mut start = 0;
+    for run in part.scans.chunk_by(|a, b| a == b) {
+        let end = start + run.len();
+        let bounds = part.keys[start..end].iter().map(|k| LatticeBox::of(k.point())).reduce(|a, b| a.union(&b));
+        start = end;
+        let Some(bounds) = bounds else { continue };
+        match scans.iter_mut().find(|s| s.0 == run[0]) {
+            Some(entry) => {
+                entry.1 += run.len() as u64;
+                entry.2 = entry.2.union(&bounds);
+            }
+            None => scans.push((run[0], run.len() as u64, bounds)),
+        }
+    }
+}

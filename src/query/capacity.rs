@@ -7,7 +7,7 @@
 use super::QueryError;
 use super::cells::{Pick, everything, filtered};
 use super::plan::Plan;
-use crate::octree::canonical_order;
+use crate::octree::canonical_prefix;
 
 /// The points of an answer and its bound.
 pub(crate) struct Chosen {
@@ -54,10 +54,9 @@ pub(crate) fn limited(plan: &Plan, finest: Option<u8>, capacity: u64) -> Result<
     }
     let keys: Vec<_> = picks.iter().map(|p| p.key).collect();
     // Any cube that holds all points gives the same sequence: the first point is first.
-    let order = canonical_order(&keys, crate::lattice::BITS as i8);
-    let taken = usize::try_from(capacity).unwrap_or(usize::MAX);
-    let error_bound = Some(order.bound(taken, &plan.metric()));
-    picks = order.order[..taken].iter().map(|&i| picks[i as usize]).collect();
+    let prefix = canonical_prefix(&keys, crate::lattice::BITS as i8, usize::try_from(capacity).unwrap_or(usize::MAX));
+    let error_bound = Some(prefix.bound(&plan.metric()));
+    picks = prefix.points.iter().map(|&i| picks[i as usize]).collect();
     Ok(Chosen { picks, error_bound })
 }
 

@@ -19,11 +19,7 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open(&arguments.store)?;
     let digest = digest(&store.snapshot()?)?;
-    output::line(format_args!("points {}", hex(&digest.points)))?;
-    output::line(format_args!("scans {}", hex(&digest.scans)))?;
+    output::line(format_args!("points {}", digest.points))?;
+    output::line(format_args!("scans {}", digest.scans))?;
     Ok(Outcome::Done)
-}
-
-fn hex(hash: &[u8; 32]) -> String {
-    hash.iter().map(|b| format!("{b:02x}")).collect()
 }

@@ -95,10 +95,8 @@ pub(super) fn scan_json(scan: &Scan, lattice: &Lattice) -> Value {
 
 fn as_json(snapshot: &Snapshot, info: &Info) -> Value {
     let site = snapshot.site();
-    let attributes: Vec<_> = costs(snapshot, info)
-        .into_iter()
-        .map(|c| json!({ "name": c.name, "type": c.ty, "bytes": c.bytes }))
-        .collect();
+    let attributes: Vec<_> =
+        costs(snapshot, info).into_iter().map(|c| json!({ "name": c.name, "type": c.ty, "bytes": c.bytes })).collect();
     json!({
         "points": info.points,
         "scans": snapshot.scans().len(),

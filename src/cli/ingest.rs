@@ -134,7 +134,8 @@ fn print(report: &Report) -> std::io::Result<()> {
 fn parse_crs(text: &str) -> anyhow::Result<Crs> {
     if let Some(code) = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")) {
         let mut codes = code.split('+').map(|c| c.trim().parse::<u32>());
-        let horizontal = codes.next().and_then(Result::ok).with_context(|| format!("--crs '{text}' is no EPSG code"))?;
+        let horizontal =
+            codes.next().and_then(Result::ok).with_context(|| format!("--crs '{text}' is no EPSG code"))?;
         let vertical = codes.next().transpose().with_context(|| format!("--crs '{text}' is no EPSG code"))?;
         return Ok(Crs { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Crs::default() });
     }

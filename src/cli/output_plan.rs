@@ -33,16 +33,17 @@ pub(super) fn plan(
         Some(facts) => LasTarget::AsSource(facts.clone()),
         None => {
             if scans.len() > 1 && scans.iter().all(|s| s.las.is_some()) && scale.is_none() && all_attributes {
-                notes.push("the scans differ in LAS version, point format, scale or offset: written as LAS 1.4 on the \
+                notes.push(
+                    "the scans differ in LAS version, point format, scale or offset: written as LAS 1.4 on the \
                             store's own grid"
-                    .to_owned());
+                        .to_owned(),
+                );
             }
             merged(snapshot, &scans, scale)?
         }
     };
     let deep = scans.iter().any(|s| s.color_depth == Some(16));
-    let brighten: Vec<u32> =
-        scans.iter().filter(|s| deep && s.color_depth == Some(8)).map(|s| s.id).collect();
+    let brighten: Vec<u32> = scans.iter().filter(|s| deep && s.color_depth == Some(8)).map(|s| s.id).collect();
     if !brighten.is_empty() {
         notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
     }

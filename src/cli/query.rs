@@ -114,7 +114,8 @@ impl From<Format> for OutputFormat {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
-    let target = arguments.output.as_deref().map(|path| Ok::<_, anyhow::Error>((path, format(path, arguments.format)?)));
+    let target =
+        arguments.output.as_deref().map(|path| Ok::<_, anyhow::Error>((path, format(path, arguments.format)?)));
     let target = target.transpose()?;
     if arguments.split_by.is_some() && target.is_some_and(|(path, _)| path == Path::new("-")) {
         bail!("--split-by writes several files; give -o a file name");
@@ -161,7 +162,10 @@ fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
     }
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
     OutputFormat::of_extension(ending).with_context(|| {
-        format!("{}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply or .csv, or --format", path.display())
+        format!(
+            "{}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply or .csv, or --format",
+            path.display()
+        )
     })
 }
 
@@ -347,7 +351,8 @@ fn split(
     let mut answers = Vec::new();
     for id in query.output_form(snapshot)?.scans {
         let Some(scan) = snapshot.scan(id) else { continue };
-        let name: String = scan.name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
+        let name: String =
+            scan.name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
         let file = path.with_file_name(format!("{stem}_{name}{ending}"));
         let one = query.clone().scans([id.to_string()]);
         let answer = write(arguments, snapshot, &one, &file, format)?;

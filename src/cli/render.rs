@@ -126,10 +126,8 @@ fn scene(arguments: &Arguments, snapshot: &Snapshot, camera: &Camera) -> anyhow:
         batches.push(batch);
         ControlFlow::Continue(())
     })?;
-    let depths = ColorDepths {
-        others: Some(16),
-        by_scan: snapshot.scans().iter().map(|s| (s.id, s.color_depth)).collect(),
-    };
+    let depths =
+        ColorDepths { others: Some(16), by_scan: snapshot.scans().iter().map(|s| (s.id, s.color_depth)).collect() };
     let references: Vec<_> = batches.iter().collect();
     let colored = colors(&references, &site.lattice, &ColorOptions { mode, depths, ..ColorOptions::default() })?;
     if colored.mode != mode {

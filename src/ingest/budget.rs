@@ -86,7 +86,6 @@ pub(super) fn check_disk(store: &Path, store_bytes: u64, temp_bytes: u64) -> Res
     Ok(())
 }
 
-
 #[cfg(test)]
 mod tests {
     use super::*;

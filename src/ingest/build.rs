@@ -9,9 +9,9 @@ use super::progress::Progress;
 use super::rows::RowKey;
 use super::spill::Spill;
 use crate::lattice::Cube;
+use crate::lattice::SortKey;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{Params, first_win, wins};
-use crate::lattice::SortKey;
 use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, ScanTable, encode_node};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -250,16 +250,8 @@ impl<'a> Worker<'a> {
         rows: impl ExactSizeIterator<Item = (u32, &'r [u8])>,
     ) -> Result<(), IngestError> {
         let columns = gather(self.plan.scans, rows, &mut self.gather);
-        let input = NodeInput {
-            layer: 0,
-            cube,
-            leaf,
-            children,
-            keys,
-            wins,
-            scans: &columns.scans,
-            columns: &columns.columns,
-        };
+        let input =
+            NodeInput { layer: 0, cube, leaf, children, keys, wins, scans: &columns.scans, columns: &columns.columns };
         let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
             .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
         (self.plan.sink)(encoded)

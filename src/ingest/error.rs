@@ -29,7 +29,9 @@ pub enum IngestError {
     #[error("the store has a scan named '{0}' from another source; give another --name")]
     NameTaken(String),
     /// Two coordinate reference systems.
-    #[error("{path}: its CRS is {found}, the site's is {expected}; reproject it first, or --ignore-crs to take its numbers as they are")]
+    #[error(
+        "{path}: its CRS is {found}, the site's is {expected}; reproject it first, or --ignore-crs to take its numbers as they are"
+    )]
     OtherCrs {
         /// The source.
         path: PathBuf,
@@ -39,7 +41,9 @@ pub enum IngestError {
         found: String,
     },
     /// The store's lattice is fixed and the user asked for another.
-    #[error("the store's quantum is {stored} and its phase {phase}; --quantum and --phase apply when a store is created")]
+    #[error(
+        "the store's quantum is {stored} and its phase {phase}; --quantum and --phase apply when a store is created"
+    )]
     LatticeFixed {
         /// Its quantum per axis.
         stored: String,
@@ -50,7 +54,9 @@ pub enum IngestError {
     #[error("{0}: its scale and offset can't be brought to the store's lattice exactly; use a quantum of fewer digits")]
     Grid(PathBuf),
     /// Every point of a source is out of the lattice's range.
-    #[error("{path}: all its {points} points are outside the lattice ({range}); create the store with a coarser --quantum")]
+    #[error(
+        "{path}: all its {points} points are outside the lattice ({range}); create the store with a coarser --quantum"
+    )]
     OutOfRange {
         /// The source.
         path: PathBuf,

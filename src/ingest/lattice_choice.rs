@@ -66,9 +66,7 @@ fn finest(evidence: &[Evidence], notes: &mut Vec<String>) -> [Decimal; 3] {
         (None, Some((min, max))) => [for_extent((0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max)); 3],
         (None, None) => [Decimal::new(1, -3); 3],
     });
-    let per_axis = own
-        .reduce(|a, b| std::array::from_fn(|i| a[i].min(b[i])))
-        .unwrap_or([Decimal::new(1, -3); 3]);
+    let per_axis = own.reduce(|a, b| std::array::from_fn(|i| a[i].min(b[i]))).unwrap_or([Decimal::new(1, -3); 3]);
     let one = per_axis[0].min(per_axis[1]).min(per_axis[2]);
     if evidence.iter().any(|e| e.geographic) && (per_axis[0] != per_axis[2] || per_axis[1] != per_axis[2]) {
         notes.push(format!(

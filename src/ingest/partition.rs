@@ -345,8 +345,7 @@ impl Sorter<'_, '_> {
     pub fn finish(mut self) -> Result<ScanTally, IngestError> {
         self.flush()?;
         if self.tally.stored > 0 {
-            self.tally.bounds =
-                Some(LatticeBox { min: LatticePoint(self.min), max: LatticePoint(self.max) });
+            self.tally.bounds = Some(LatticeBox { min: LatticePoint(self.min), max: LatticePoint(self.max) });
         }
         Ok(self.tally)
     }
@@ -356,8 +355,7 @@ impl Sorter<'_, '_> {
 /// wide because the site has too many cubes of 21 levels.
 pub(super) fn bucket_exponent(bounds: &LatticeBox, wanted: u64) -> (u8, bool) {
     let occupied = |k: u8| {
-        let n: [u128; 3] =
-            std::array::from_fn(|i| u128::from((bounds.max.0[i] >> k) - (bounds.min.0[i] >> k)) + 1);
+        let n: [u128; 3] = std::array::from_fn(|i| u128::from((bounds.max.0[i] >> k) - (bounds.min.0[i] >> k)) + 1);
         // A volume has at most n0 n1 n2 cubes, a surface about as many as its shadows.
         (n[0] * n[1] * n[2]).min(n[0] * n[1] + n[1] * n[2] + n[0] * n[2])
     };

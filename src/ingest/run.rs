@@ -100,12 +100,15 @@ impl Run<'_> {
             None => {
                 let (lattice, notes) = choose(&evidence(&sources, &measured), &self.options.lattice)?;
                 report.notes.extend(notes);
-                Store::create(self.path, SiteOptions {
-                    lattice,
-                    g: self.options.g,
-                    leaf_capacity: self.options.leaf_capacity,
-                    crs: crs.clone(),
-                })?
+                Store::create(
+                    self.path,
+                    SiteOptions {
+                        lattice,
+                        g: self.options.g,
+                        leaf_capacity: self.options.leaf_capacity,
+                        crs: crs.clone(),
+                    },
+                )?
             }
         };
         let result = self.fill(&store, sources, &measured, crs, &mut report);
@@ -238,7 +241,8 @@ impl Run<'_> {
         let partition = Partition::new(lattice, spill.as_ref(), k, wide);
         let begun = Instant::now();
         self.progress.stage(Stage::Read, rows);
-        let read = if wide { reading.read::<Key>(&partition, &budget) } else { reading.read::<u64>(&partition, &budget) };
+        let read =
+            if wide { reading.read::<Key>(&partition, &budget) } else { reading.read::<u64>(&partition, &budget) };
         let Read { tallies, contents } = read?;
         self.note_stage(Stage::Read, begun, rows);
         let buckets = partition.finish();
@@ -602,4 +606,3 @@ fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
         warnings,
     }
 }
-

@@ -23,9 +23,13 @@ impl Spill {
         let mut name = store.as_os_str().to_owned();
         name.push(format!(".spill-{}", std::process::id()));
         let path = PathBuf::from(name);
-        let file = File::options().read(true).write(true).create(true).truncate(true).open(&path).map_err(|source| {
-            IngestError::Spill { path: path.clone(), action: "creating", source }
-        })?;
+        let file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .open(&path)
+            .map_err(|source| IngestError::Spill { path: path.clone(), action: "creating", source })?;
         Ok(Self { file, path, end: AtomicU64::new(0) })
     }
 

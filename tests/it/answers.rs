@@ -86,10 +86,12 @@ impl Tile {
 
     fn region(&self, random: &mut Random) -> Region {
         if random.below(3) == 0 {
-            let centre = std::array::from_fn(|i| loop {
-                let c = self.coordinate(random, i);
-                if c.is_finite() {
-                    break c;
+            let centre = std::array::from_fn(|i| {
+                loop {
+                    let c = self.coordinate(random, i);
+                    if c.is_finite() {
+                        break c;
+                    }
                 }
             });
             let (min, max) = self.bounds();

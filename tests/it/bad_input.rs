@@ -48,7 +48,9 @@ impl Place {
 
 #[test]
 fn no_arguments_and_unknown_flags_are_usage_errors() {
-    for arguments in [&[][..], &["--what"], &["ingest"], &["ingest", "x.esker"], &["nonsense"], &["query", "s", "--wat"]] {
+    for arguments in
+        [&[][..], &["--what"], &["ingest"], &["ingest", "x.esker"], &["nonsense"], &["query", "s", "--wat"]]
+    {
         let output = esker(arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(!output.stderr.is_empty());
@@ -177,14 +179,16 @@ fn coordinates_over_the_whole_i32_range_are_kept() {
     esker_ok(&["verify", &store]);
     let out = place.path("out.las");
     esker_ok(&["query", &store, "-o", &out]);
-    let (before, after) = (crate::support::RawLas::read(Path::new(&path)), crate::support::RawLas::read(Path::new(&out)));
+    let (before, after) =
+        (crate::support::RawLas::read(Path::new(&path)), crate::support::RawLas::read(Path::new(&out)));
     assert_eq!(before.unwrap().sorted(), after.unwrap().sorted());
 }
 
 #[test]
 fn stores_that_are_none_or_too_new_are_refused() {
     let place = Place::new();
-    let text = place.write("a.esker", b"not a database, just some words that are long enough to be read as a header....");
+    let text =
+        place.write("a.esker", b"not a database, just some words that are long enough to be read as a header....");
     for command in ["info", "scans", "query", "verify", "digest", "render"] {
         let out = place.path("x.png");
         let mut arguments = vec![command, text.as_str()];
@@ -282,7 +286,9 @@ fn an_interrupt_keeps_what_was_committed() {
     assert_eq!(child.wait().unwrap().code(), Some(130), "{rest:?}");
     assert!(rest.iter().any(|l| l.contains("interrupted")), "{rest:?}");
     assert_eq!(esker_ok(&["digest", &store]), before);
-    assert!(fs::read_dir(place.folder.path()).unwrap().all(|e| !e.unwrap().file_name().to_string_lossy().contains("spill")));
+    assert!(
+        fs::read_dir(place.folder.path()).unwrap().all(|e| !e.unwrap().file_name().to_string_lossy().contains("spill"))
+    );
 }
 
 #[test]

@@ -211,10 +211,8 @@ impl Hole {
 
 /// Searches the nodes below `node` for the least matching points of the holes, which ascend.
 fn fill(plan: &Plan, node: NodeIx, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
-    let head = plan.index.head(node);
     let mut children: Vec<NodeIx> = plan.index.children(node).collect();
     children.sort_by_key(|&n| plan.index.head(n).cube.first_key());
-    debug_assert!(children.len() <= usize::from(head.children.count_ones() as u8));
     for child in children {
         let head = plan.index.head(child);
         let cube = head.cube;

@@ -8,8 +8,9 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::sync_channel;
 
-/// Points that are worked on together: some parts for each thread.
-const WINDOW_POINTS: u64 = 512 * 1024;
+/// Points that a thread works on before the batches are handed on: some parts. Small, so that a small answer is written
+/// while the rest of it is still being read.
+const WINDOW_POINTS: u64 = 64 * 1024;
 
 /// Runs `work` on all tasks and hands its batches to `sink`, in the order of the tasks; at most three windows of batches
 /// are in memory. Empty batches are left out. Returns the number of points delivered.
@@ -24,7 +25,7 @@ pub(crate) fn deliver<T: Sync>(
     meter: &Meter,
     sink: &mut dyn FnMut(Batch) -> ControlFlow<()>,
 ) -> Result<u64, QueryError> {
-    let windows = windows(tasks, points);
+    let windows = windows(tasks, points, WINDOW_POINTS * rayon::current_num_threads() as u64);
     let mut delivered = 0;
     let mut deliver_window = |batches: Vec<Result<Batch, QueryError>>| {
         for batch in batches {
@@ -73,13 +74,13 @@ pub(crate) fn deliver<T: Sync>(
     Ok(delivered)
 }
 
-/// Cuts tasks into runs of about [`WINDOW_POINTS`] points.
-fn windows<T>(tasks: &[T], points: impl Fn(&T) -> u64) -> Vec<&[T]> {
+/// Cuts tasks into runs of about so many points.
+fn windows<T>(tasks: &[T], points: impl Fn(&T) -> u64, most: u64) -> Vec<&[T]> {
     let mut windows = Vec::new();
     let (mut start, mut sum) = (0, 0_u64);
     for (i, task) in tasks.iter().enumerate() {
         sum = sum.saturating_add(points(task));
-        if sum >= WINDOW_POINTS {
+        if sum >= most {
             windows.push(&tasks[start..=i]);
             (start, sum) = (i + 1, 0);
         }

@@ -20,7 +20,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
 /// Bytes of chunks in one transaction.
-const TRANSACTION_BYTES: u64 = 64 << 20;
+const TRANSACTION_BYTES: u64 = 16 << 20;
 
 /// A log beyond this is checkpointed as soon as readers allow.
 const WAL_BYTES: u64 = 192 << 20;
@@ -347,6 +347,9 @@ impl Writer {
     /// Has the log written back and used from its start again, when it has grown.
     fn bound_log(&mut self) {
         let Place::File(file) = &*self.place else { return };
+        // Waits for nobody. Done while nodes are still being encoded, it leaves little for the commit, and the next
+        // transaction begins the log anew if no reader holds it.
+        self.checkpoint("PASSIVE");
         if wal_bytes(&file.path) < self.wal_limit {
             return;
         }

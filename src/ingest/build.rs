@@ -17,6 +17,24 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
+/// The payloads of `points`, which leave a bucket whose own node samples cells of exponent `cell`: in one block for each
+/// node that will store them, so that none keeps others' memory while it rises.
+fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], payloads: &Payloads) -> Vec<Held> {
+    let group = |i: u32| wins[i as usize].max(cell);
+    let mut rows: BTreeMap<i8, Vec<u32>> = BTreeMap::new();
+    for &i in points {
+        rows.entry(group(i)).or_default().push(order[i as usize]);
+    }
+    let mut blocks: BTreeMap<i8, (Arc<Payloads>, u32)> =
+        rows.into_iter().map(|(group, rows)| (group, (Arc::new(payloads.picked(rows.into_iter())), 0))).collect();
+    let mut next = |i: u32| {
+        let (block, row) = blocks.get_mut(&group(i))?;
+        *row += 1;
+        Some((block.clone(), *row - 1))
+    };
+    points.iter().filter_map(|&i| next(i)).collect()
+}
+
 /// What does not change during a build.
 pub(super) struct Plan<'a> {
     pub params: Params,
@@ -207,11 +225,12 @@ impl<'a> Worker<'a> {
         if place == Place::Root {
             return Ok(None);
         }
-        let held = Arc::new(payloads.picked(rest.points.iter().map(|&i| order[i as usize])));
-        let mut row = 0_u32..;
+        let held = held(&rest.points, &wins, plan.params.cell(job.cube.k()), &order, &payloads);
+        let mut item = held.into_iter();
         let subtree = Subtree::from_bucket(job.cube, &rest, |i| {
             let i = i as usize;
-            Entry { key: keys[i].full(bucket_cube), win: wins[i], item: (held.clone(), row.next().unwrap_or(0)) }
+            let item = item.next().unwrap_or_default();
+            Entry { key: keys[i].full(bucket_cube), win: wins[i], item }
         });
         Ok(Some(subtree))
     }

@@ -56,7 +56,7 @@ pub(super) fn plan(
             las,
         },
         brighten,
-        standard_gps_time: !scans.is_empty() && scans.iter().all(|s| standard(&s)),
+        standard_gps_time: !scans.is_empty() && scans.iter().all(standard),
         notes,
     })
 }

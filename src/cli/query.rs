@@ -268,9 +268,7 @@ fn on_maximum_faces(region: &Region, snapshot: &Snapshot) -> anyhow::Result<u64>
         high[..axis].copy_from_slice(&up[..axis]);
         low[axis] = max[axis];
         high[axis] = up[axis];
-        for other in axis + 1..3 {
-            high[other] = max[other];
-        }
+        high[axis + 1..].copy_from_slice(&max[axis + 1..]);
         if (0..3).all(|i| low[i] < high[i]) {
             total += Query::new().region(Region::new_box(low, high)?).count(snapshot)?.points;
         }

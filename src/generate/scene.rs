@@ -135,9 +135,12 @@ impl Scene {
 /// What a thread remembers of the scene's cells: each is asked for again and again.
 pub(super) struct Memory {
     scene: Scene,
-    buildings: Vec<Option<((i64, i64), Option<Building>)>>,
-    trees: Vec<Option<((i64, i64), Option<Tree>)>>,
+    buildings: Vec<Option<Remembered<Building>>>,
+    trees: Vec<Option<Remembered<Tree>>>,
 }
+
+/// A cell, and what stands in it, if anything.
+type Remembered<T> = ((i64, i64), Option<T>);
 
 /// Cells remembered along a side.
 const SIDE: i64 = 64;

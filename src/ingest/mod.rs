@@ -18,6 +18,7 @@ mod loaded;
 mod naming;
 mod partition;
 mod progress;
+mod reading;
 mod report;
 mod rows;
 mod run;

@@ -13,8 +13,10 @@ use std::collections::HashMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// A bucket's buffer is handed over when it has this many bytes.
-const BUFFER_BYTES: usize = 256 << 10;
+/// Bytes of a bucket's first buffer; each next one is twice the size, up to [`LARGEST_BUFFER`]. Buffers are handed over
+/// when they are full and never grow: fresh memory is dear, and one that doubles in place touches it twice.
+const FIRST_BUFFER: usize = 4 << 10;
+const LARGEST_BUFFER: usize = 64 << 10;
 /// More buckets than this are joined eight to one.
 const MOST_BUCKETS: usize = 1 << 15;
 
@@ -111,7 +113,7 @@ impl<'a> Partition<'a> {
         Self { lattice, spill, k, largest_k, buckets: Mutex::default() }
     }
 
-    /// A worker for one piece of one scan.
+    /// A worker for one scan.
     pub fn sorter<'b>(&'b self, plan: &'b RowPlan) -> Sorter<'a, 'b> {
         let k = self.k.load(Ordering::Relaxed);
         let affine = plan.map.as_ref().and_then(SourceMap::affine);
@@ -185,9 +187,11 @@ struct Open {
     corner: [u64; 3],
     rows: u32,
     bytes: Vec<u8>,
+    /// Size of the next buffer.
+    next_bytes: usize,
 }
 
-/// Turns the records of one piece into rows of buckets.
+/// Turns records of one scan into rows of buckets; one thread has one for all pieces of a scan.
 pub(super) struct Sorter<'a, 'b> {
     partition: &'b Partition<'a>,
     plan: &'b RowPlan,
@@ -203,7 +207,7 @@ pub(super) struct Sorter<'a, 'b> {
 }
 
 impl Sorter<'_, '_> {
-    /// Takes a run of whole records; `most_open_bytes` limits what is held before it is handed over.
+    /// Takes a run of whole records; `most_open_bytes` limits what is held in buffers that are not full yet.
     pub fn take<K: RowKey>(&mut self, records: &[u8], most_open_bytes: usize) -> Result<(), IngestError> {
         let stride = self.plan.layout.stride();
         let head = self.plan.layout.position.size();
@@ -305,18 +309,23 @@ impl Sorter<'_, '_> {
         let corner = point.0.map(|c| c >> self.k);
         if self.open.get(self.current).is_none_or(|o| o.corner != corner) {
             self.current = *self.by_corner.entry(corner).or_insert_with(|| {
-                self.open.push(Open { corner, rows: 0, bytes: Vec::new() });
+                self.open.push(Open { corner, rows: 0, bytes: Vec::new(), next_bytes: FIRST_BUFFER });
                 self.open.len() - 1
             });
         }
+        let row_bytes = K::BYTES + payload.len();
         let open = &mut self.open[self.current];
+        if open.bytes.capacity() == 0 {
+            open.bytes.reserve_exact(open.next_bytes.max(row_bytes));
+            open.next_bytes = (2 * open.next_bytes).min(LARGEST_BUFFER);
+            self.open_bytes += open.bytes.capacity();
+        }
         K::of(point).push(&mut open.bytes);
         open.bytes.extend_from_slice(payload);
         open.rows += 1;
-        self.open_bytes += K::BYTES + payload.len();
-        if open.bytes.len() >= BUFFER_BYTES {
+        if open.bytes.len() + row_bytes > open.bytes.capacity() {
             let (rows, bytes) = (std::mem::take(&mut open.rows), std::mem::take(&mut open.bytes));
-            self.open_bytes -= bytes.len();
+            self.open_bytes -= bytes.capacity();
             self.hand_over(corner, rows, bytes)?;
         }
         Ok(())

@@ -4,17 +4,18 @@ use super::budget::{Budget, check_disk, default_memory, default_threads, peak_me
 use super::build::{Plan, build};
 use super::existing::Existing;
 use super::gather::ScanColumns;
-use super::identity::{IDENTITY_POSE, content_hash};
+use super::identity::IDENTITY_POSE;
 use super::lattice_choice::{Evidence, choose};
 use super::partition::{Bucket, Partition, RowPlan, ScanTally, bucket_exponent};
 use super::progress::{Progress, Stage};
+use super::reading::{Read, Reading};
 use super::report::{Report, ScanReport, StageReport};
 use super::rows::RowKey;
 use super::sources::{self, Source};
 use super::spill::Spill;
 use super::subtrees::with_subtrees;
 use super::{IngestError, IngestOptions};
-use crate::formats::{FormatError, Piece};
+use crate::formats::FormatError;
 use crate::lattice::{Cube, Exactness, Key, Lattice, LatticeBox, SourceMap};
 use crate::octree::Params;
 use crate::points::{Attribute, Crs, PositionKind, ScalarType};
@@ -237,7 +238,15 @@ impl Run<'_> {
         }
         let spill = if budget.temp_bytes > 0 { Some(Spill::create(self.path)?) } else { None };
 
-        let reading = Reading { run: self, plans: &plans, first_new, sources: &sources, existing: &existing };
+        let reading = Reading {
+            plans: &plans,
+            first_new,
+            sources: &sources,
+            existing: &existing,
+            threads: self.threads,
+            strict: self.options.strict,
+            progress: self.progress,
+        };
         let partition = Partition::new(lattice, spill.as_ref(), k, wide);
         let begun = Instant::now();
         self.progress.stage(Stage::Read, rows);
@@ -260,20 +269,24 @@ impl Run<'_> {
         }
         let scans = self.scans(&mut writer, &sources, &tallies, &contents, &plans[first_new..])?;
 
+        let bounds = buckets_bounds(existing.bounds(), &tallies);
+        let stored = existing.points() + tallies.iter().map(|t| t.stored).sum::<u64>();
+        let stored_scans = snapshot.scans().to_vec();
         let mut columns: Vec<ScanColumns<'_>> = existing.scan_columns(&plans);
+        // A snapshot that is held keeps the log from being written back while it grows.
+        drop(existing);
+        drop(snapshot);
         for (scan, plan) in scans.iter().zip(&plans[first_new..]) {
             columns.push(ScanColumns::new(scan.id, scan.identity, plan, scan.attributes.clone()));
         }
-        let bounds = buckets_bounds(existing.bounds(), &tallies);
         let begun = Instant::now();
-        let stored = existing.points() + tallies.iter().map(|t| t.stored).sum::<u64>();
         self.progress.stage(Stage::Build, stored);
         let root = bounds.map(|b| Cube::spanning(b.min, b.max, site.g));
         let nodes = match root {
             Some(root) => {
                 let params = Params { g: site.g, leaf_capacity: site.leaf_capacity };
                 let mut table = ScanTable::new(writer.attributes());
-                for scan in snapshot.scans().iter().chain(&scans) {
+                for scan in stored_scans.iter().chain(&scans) {
                     table.insert(scan.id, &scan.attributes, scan.color_depth);
                 }
                 let (ids, spill) = (writer.chunk_ids(), spill.as_ref());
@@ -420,103 +433,6 @@ fn remove_store(path: &Path) {
 }
 
 type WorldBounds = ([f64; 3], [f64; 3]);
-
-/// The reading stage: pieces of new sources, parts of stored nodes, and the hashes of the sources' bytes.
-struct Reading<'a> {
-    run: &'a Run<'a>,
-    plans: &'a [RowPlan],
-    first_new: usize,
-    sources: &'a [Source],
-    existing: &'a Existing<'a>,
-}
-
-struct Read {
-    /// Of the new sources.
-    tallies: Vec<ScanTally>,
-    /// Of the new sources.
-    contents: Vec<[u8; 32]>,
-}
-
-enum Task {
-    Hash(usize),
-    Piece(usize, Piece),
-}
-
-impl Reading<'_> {
-    fn read<K: RowKey>(&self, partition: &Partition<'_>, budget: &Budget) -> Result<Read, IngestError> {
-        let progress = self.run.progress;
-        self.existing.read::<K>(partition, self.plans, budget.open_bytes, progress)?;
-        let contents: Vec<_> = self.sources.iter().map(|s| Mutex::new(s.content)).collect();
-        let tallies: Vec<_> = self.sources.iter().map(|_| Mutex::new(ScanTally::default())).collect();
-        // Hashes first: they are the longest tasks.
-        let mut tasks: Vec<_> =
-            (0..self.sources.len()).filter(|&i| self.sources[i].content.is_none()).map(Task::Hash).collect();
-        for (i, source) in self.sources.iter().enumerate() {
-            tasks.extend(source.reader.pieces(budget.piece_records).into_iter().map(|p| Task::Piece(i, p)));
-        }
-        tasks.into_par_iter().with_max_len(1).try_for_each(|task| match task {
-            Task::Hash(i) => {
-                let path = &self.sources[i].reader.info().path;
-                let content = content_hash(path, &|| progress.cancelled())?.ok_or(IngestError::Interrupted)?;
-                *contents[i].lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(content);
-                Ok(())
-            }
-            Task::Piece(i, piece) => {
-                let plan = &self.plans[self.first_new + i];
-                let tally = self.piece::<K>(partition, &self.sources[i], plan, piece, budget.open_bytes)?;
-                tallies[i].lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge(&tally);
-                Ok::<_, IngestError>(())
-            }
-        })?;
-        let mut read = Read { tallies: Vec::new(), contents: Vec::new() };
-        for (tally, source) in tallies.into_iter().zip(self.sources) {
-            let mut tally = tally.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-            tally.rejected.truncated += source.reader.info().missing;
-            read.tallies.push(tally);
-        }
-        for content in contents {
-            let content = content.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-            read.contents.push(content.ok_or_else(|| IngestError::Internal("a source without a hash".into()))?);
-        }
-        Ok(read)
-    }
-
-    fn piece<K: RowKey>(
-        &self,
-        partition: &Partition<'_>,
-        source: &Source,
-        plan: &RowPlan,
-        piece: Piece,
-        open_bytes: usize,
-    ) -> Result<ScanTally, IngestError> {
-        let progress = self.run.progress;
-        let stride = plan.layout.stride();
-        let mut sorter = partition.sorter(plan);
-        let mut failure = None;
-        let given = source.reader.read(piece, &mut |records| {
-            if progress.cancelled() {
-                failure = Some(IngestError::Interrupted);
-                return false;
-            }
-            if let Err(error) = sorter.take::<K>(records, open_bytes) {
-                failure = Some(error);
-                return false;
-            }
-            progress.advance((records.len() / stride) as u64);
-            true
-        })?;
-        if let Some(error) = failure {
-            return Err(error);
-        }
-        let mut tally = sorter.finish()?;
-        tally.rejected.truncated += given.truncated;
-        if self.run.options.strict && given.truncated > 0 {
-            let path = source.reader.info().path.clone();
-            return Err(IngestError::Truncated { path, missing: given.truncated });
-        }
-        Ok(tally)
-    }
-}
 
 fn evidence(sources: &[Source], measured: &[Option<WorldBounds>]) -> Vec<Evidence> {
     let of = |(source, bounds): (&Source, &Option<WorldBounds>)| Evidence {

@@ -112,7 +112,7 @@ impl Cube {
     pub fn node_key(self) -> NodeKey {
         let code = Key::interleave(self.low.0);
         // 144 bits: 81 of `high`, then 63 of `low`.
-        let top = (code.high >> 1) as u128;
+        let top = code.high >> 1;
         let rest = ((code.high & 1) as u64) << 63 | code.low;
         let mut bytes = [0; 19];
         bytes[..10].copy_from_slice(&top.to_be_bytes()[6..]);

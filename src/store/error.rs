@@ -183,6 +183,8 @@ fn from_sqlite(error: rusqlite::Error, path: PathBuf) -> StoreError {
                 StoreError::NotAStore { path, found: "it does not begin as an SQLite database does".into() }
             }
             ErrorCode::DiskFull => StoreError::Full { path },
+            // The shared index of the log can only fail to grow for want of space.
+            _ if *extended_code == ffi::SQLITE_IOERR_SHMSIZE => StoreError::Full { path },
             ErrorCode::ReadOnly if *extended_code == ffi::SQLITE_READONLY_RECOVERY => {
                 StoreError::NeedsRecovery { path }
             }

@@ -111,8 +111,11 @@ impl Tile {
     }
 }
 
+/// Of intensity and return number.
+type Matches = Box<dyn Fn(u16, u8) -> bool>;
+
 /// A filter, and the same in Rust.
-fn filter(random: &mut Random) -> (Option<Filter>, Box<dyn Fn(u16, u8) -> bool>) {
+fn filter(random: &mut Random) -> (Option<Filter>, Matches) {
     let level = random.below(120) as u16;
     match random.below(4) {
         0 => (Some(Filter::parse(&format!("Intensity > {level}")).unwrap()), Box::new(move |i, _| i > level)),

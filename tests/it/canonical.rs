@@ -72,7 +72,7 @@ fn the_tree_does_not_depend_on_threads_memory_order_or_grouping() {
         })
         .collect();
     let p: Vec<&Path> = parts.iter().map(PathBuf::as_path).collect();
-    assert_eq!(trial.digest(&[p.clone()], &[]), expected, "five files at once");
+    assert_eq!(trial.digest(std::slice::from_ref(&p), &[]), expected, "five files at once");
     let reversed: Vec<&Path> = p.iter().rev().copied().collect();
     assert_eq!(trial.digest(&[reversed], &["--memory", "1MiB"]), expected, "reversed, spilling");
     for _ in 0..3 {

@@ -1,6 +1,9 @@
 //! Law 2 on every real file: what goes in comes out, bit for bit.
 
 use crate::support::{RawLas, data_files, esker, esker_ok};
+use esker::formats::{ReadOptions, open};
+use esker::lattice::{Lattice, LatticePoint};
+use esker::store::Store;
 use std::fs;
 use std::path::Path;
 
@@ -51,4 +54,59 @@ fn every_las_and_laz_file_comes_back_record_for_record() {
     }
     println!("{same} files the same; not compared: {unread:?}");
     assert!(unread.len() <= same / 3, "too many files were not compared: {unread:?}");
+}
+
+/// The points of a PLY file that have a place on the lattice, with their attributes as canonical bytes; and the largest
+/// distance of a coordinate from its place, in quanta.
+fn ply_points(path: &Path, lattice: &Lattice) -> Option<(Vec<(LatticePoint, Vec<u8>)>, f64)> {
+    let source = open(path, &ReadOptions::default()).ok()?;
+    let layout = source.info().layout.clone();
+    let (mut points, mut largest) = (Vec::new(), 0.0_f64);
+    for piece in source.pieces(1 << 20) {
+        source
+            .read(piece, &mut |records| {
+                for record in records.chunks_exact(layout.stride()) {
+                    let world: [f64; 3] =
+                        std::array::from_fn(|i| f64::from_le_bytes(record[8 * i..8 * i + 8].try_into().unwrap()));
+                    let Ok(point) = lattice.lattice_from_world(world) else { continue };
+                    let stored = lattice.world_from_lattice(point);
+                    for i in 0..3 {
+                        largest = largest.max((world[i] - stored[i]).abs() / lattice.quantum_f64()[i]);
+                    }
+                    let mut bytes = Vec::new();
+                    layout.canonical_bytes(&record[24..], &mut bytes);
+                    points.push((point, bytes));
+                }
+                true
+            })
+            .ok()?;
+    }
+    points.sort_unstable();
+    Some((points, largest))
+}
+
+#[test]
+fn every_ply_file_comes_back_within_half_a_quantum() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut compared = 0;
+    for path in data_files(&["ply"]) {
+        let (store, out) = (folder.path().join("one.esker"), folder.path().join("out.ply"));
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if refused(&path, &store) {
+            println!("{name}: refused");
+            continue;
+        }
+        let lattice = Store::open(&store).unwrap().snapshot().unwrap().site().lattice.clone();
+        esker_ok(&["query", store.to_str().unwrap(), "-o", out.to_str().unwrap()]);
+        let (before, largest) = ply_points(&path, &lattice).unwrap_or_else(|| panic!("{name}: can't be read again"));
+        let (after, _) = ply_points(&out, &lattice).unwrap_or_else(|| panic!("{name}: the output can't be read"));
+        // An f64 at 1e6 with a quantum of 1e-6 has an ulp of a ten-thousandth of it.
+        assert!(largest <= 0.501, "{name}: {largest} quanta");
+        assert!(before == after, "{name}: points differ");
+        compared += 1;
+        fs::remove_file(&out).unwrap();
+        fs::remove_file(&store).unwrap();
+    }
+    println!("{compared} PLY files the same");
+    assert!(compared >= 10 || data_files(&["ply"]).is_empty());
 }

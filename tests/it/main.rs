@@ -5,4 +5,7 @@ mod bad_input;
 mod canonical;
 mod fidelity;
 mod floors;
+mod outofcore;
+#[cfg(feature = "render")]
+mod pictures;
 mod support;

@@ -12,7 +12,6 @@ use crate::points::{Attribute, Batch, Column, ScalarType};
 use std::collections::HashSet;
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
-use std::sync::Arc;
 
 /// Points that become rows at a time.
 const BLOCK: usize = 8192;
@@ -27,7 +26,6 @@ const CUSTOMARY: [(&str, &str); 6] =
 pub(super) struct PlyWriter {
     file: File,
     lattice: Lattice,
-    attributes: Arc<[Attribute]>,
     /// The place of each attribute in a row.
     offsets: Vec<usize>,
     /// The names in the file.
@@ -71,7 +69,6 @@ impl PlyWriter {
         Ok(Self {
             file,
             lattice: plan.lattice.clone(),
-            attributes: plan.attributes.clone(),
             offsets,
             names,
             stride,

@@ -9,7 +9,7 @@ pub(super) const MAX_BITS: u32 = 56;
 /// Packs numbers of any widths behind one another.
 #[derive(Debug)]
 pub(super) struct BitWriter<'a> {
-    out: &'a mut Vec<u8>,
+    out: &'a mut [u8],
     /// Where in `out` the first byte of `pending` goes.
     at: usize,
     pending: u64,
@@ -18,11 +18,13 @@ pub(super) struct BitWriter<'a> {
 }
 
 impl<'a> BitWriter<'a> {
-    /// Appends to `out`, which gets room for `bits` bits at once.
-    pub(super) fn new(out: &'a mut Vec<u8>, bits: usize) -> Self {
-        let at = out.len();
-        out.resize(at + bits.div_ceil(8) + 2 * PADDING, 0);
-        Self { out, at, pending: 0, filled: 0 }
+    /// Writes from the beginning of `buffer`, which gets room for `bits` bits.
+    pub(super) fn new(buffer: &'a mut Vec<u8>, bits: usize) -> Self {
+        let needed = bits.div_ceil(8) + 2 * PADDING;
+        if buffer.len() < needed {
+            buffer.resize(needed, 0);
+        }
+        Self { out: buffer, at: 0, pending: 0, filled: 0 }
     }
 
     /// Appends the low `bits <= MAX_BITS` bits of `value`; those above must be zero.
@@ -50,9 +52,9 @@ impl<'a> BitWriter<'a> {
         }
     }
 
-    /// Fills the last byte with zeros and gives back the room that was not used.
-    pub(super) fn finish(self) {
-        self.out.truncate(self.at + usize::from(self.filled > 0));
+    /// How many bytes were written; the last one is filled with zeros.
+    pub(super) fn finish(self) -> usize {
+        self.at + usize::from(self.filled > 0)
     }
 }
 
@@ -84,7 +86,8 @@ mod tests {
             let total: u32 = numbers.iter().map(|n| n.1).sum();
             let mut writer = BitWriter::new(&mut bytes, total as usize);
             numbers.iter().for_each(|&(v, bits)| writer.put_wide(cut(v, bits), bits));
-            writer.finish();
+            let written = writer.finish();
+            bytes.truncate(written);
             prop_assert_eq!(bytes.len(), total.div_ceil(8) as usize);
             bytes.extend([0xff; PADDING]);
             let mut at = 0;

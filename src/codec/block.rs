@@ -3,14 +3,13 @@
 //! The first byte says how the rest is to be read: [`Kind`]. All but the first two kinds store
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
-use super::column::is_constant;
 use super::dictionary;
 use super::numbers::{self, Numbers};
 use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
 use super::scratch::Buffers;
 use super::stream::StreamWriter;
-use super::value::Value;
+use super::value::{Survey, Value};
 use super::{CodecError, Decoder};
 use crate::points::ScalarType;
 
@@ -36,19 +35,69 @@ impl Kind {
 /// Below so many bits a value, ranks of values beyond 16 bits are not tried: sorting costs more time than all else.
 const SORTED_ABOVE_BITS: f32 = 10.0;
 
-/// The largest `step` with which all values are `least + step * n`; 1 if all are equal.
-fn common_step(values: &[u64], least: u64) -> u64 {
-    let mut step = 0_u64;
-    for value in values {
-        let distance = value - least;
-        if !distance.is_multiple_of(step) {
-            step = gcd(step, distance);
-            if step == 1 {
-                break;
+/// Distances of which the step is guessed.
+const STEP_SAMPLE: usize = 64;
+
+/// A divisor of all distances between values, for dividing without the processor's division, which is slow.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    /// `odd << zeros`.
+    zeros: u32,
+    odd: u64,
+    /// `odd * inverse` is 1 modulo 2^64: a multiple times this is the quotient, which is at most `most`, and any other
+    /// number is more.
+    inverse: u64,
+    most: u64,
+}
+
+impl Step {
+    /// `odd` may also be 0, which divides only 0.
+    fn new(zeros: u32, odd: u64) -> Self {
+        // Right in the lowest three bits, and in twice as many with each turn.
+        let mut inverse = odd.max(1);
+        for _ in 0..if odd == 0 { 0 } else { 5 } {
+            inverse = inverse.wrapping_mul(2_u64.wrapping_sub(odd.wrapping_mul(inverse)));
+        }
+        Self { zeros, odd, inverse, most: u64::MAX.checked_div(odd).unwrap_or(0) }
+    }
+
+    /// The largest with which all values are `least + step * n`; `differing` are the bits in which they do.
+    fn common<T: Value>(block: &[T], Survey { least, differing, .. }: Survey) -> Self {
+        let zeros = differing.trailing_zeros();
+        let distance = |value: &T| (value.ordered() - least) >> zeros;
+        let sample = block.iter().step_by(block.len().div_ceil(STEP_SAMPLE));
+        let odd = sample.fold(0, |odd, value| if odd == 1 { 1 } else { odd_part(gcd(odd, distance(value))) });
+        let mut step = Self::new(zeros, odd);
+        if odd != 1 {
+            for value in block {
+                let distance = distance(value);
+                if !step.divides(distance) {
+                    step = Self::new(zeros, odd_part(gcd(step.odd, distance)));
+                }
             }
         }
+        step
     }
-    step.max(1)
+
+    /// Is `distance`, already without `zeros`, a multiple?
+    #[inline]
+    fn divides(self, distance: u64) -> bool {
+        distance.wrapping_mul(self.inverse) <= self.most
+    }
+
+    fn size(self) -> u64 {
+        self.odd << self.zeros
+    }
+
+    /// How many steps a distance is.
+    #[inline]
+    fn quotient(self, distance: u64) -> u64 {
+        (distance >> self.zeros).wrapping_mul(self.inverse)
+    }
+}
+
+fn odd_part(n: u64) -> u64 {
+    n.checked_shr(n.trailing_zeros()).unwrap_or(0)
 }
 
 fn gcd(mut a: u64, mut b: u64) -> u64 {
@@ -67,50 +116,85 @@ pub(super) fn put_block<T: Value>(
     out: &mut Vec<u8>,
 ) {
     let width = ty.size();
-    if is_constant(block) {
+    let survey = T::survey(block);
+    let Survey { least, greatest, differing } = survey;
+    if differing == 0 {
         out.push(Kind::Constant as u8);
-        put_uint(block[0].ordered(), width, out);
+        put_uint(least, width, out);
         return;
     }
     let start = out.len();
-    let values = &mut buffers.values;
-    values.clear();
-    values.extend(block.iter().map(|v| v.ordered()));
-    let (least, greatest) = values.iter().fold((u64::MAX, 0), |(a, b), v| (a.min(*v), b.max(*v)));
-    let step = common_step(values, least);
-    if step == 1 {
-        values.iter_mut().for_each(|v| *v -= least);
-    } else {
-        values.iter_mut().for_each(|v| *v = (*v - least) / step);
-    }
+    let step = Step::common(block, survey);
+    let most = step.quotient(greatest - least);
     let head = |kind: Kind, out: &mut Vec<u8>| {
         out.push(kind as u8);
         put_uint(least, width, out);
-        put_varint(step, out);
+        put_varint(step.size(), out);
     };
-
-    if let Some(table) = dictionary::build(values, &mut buffers.bytes) {
-        head(Kind::Dictionary, out);
-        dictionary::put(streams, &table, &mut buffers.bytes, out);
-    } else {
-        let choice = numbers::choose(&buffers.values, &mut buffers.numbers);
-        let most = (greatest - least) / step;
-        // Wide values that take many bits may be few different ones, or as jumbled as times are.
-        let rankable = match most {
-            0..=0xff => false,
-            0x100..=0xffff => true,
-            _ => choice.cost_bits > SORTED_ABOVE_BITS * block.len() as f32,
-        };
-        let ranked_head = |out: &mut Vec<u8>| head(Kind::Ranked, out);
-        if !rankable || !ranked::try_put(streams, buffers, choice.cost_bits, ranked_head, out) {
-            head(Kind::Numbers, out);
-            numbers::put(streams, &buffers.values, &buffers.numbers, choice, out);
+    if most <= u64::from(u8::MAX) {
+        let numbers = &mut buffers.bytes;
+        numbers.clear();
+        if step.size() == 1 {
+            numbers.extend(block.iter().map(|v| (v.ordered() - least) as u8));
+        } else if step.odd == 1 {
+            numbers.extend(block.iter().map(|v| ((v.ordered() - least) >> step.zeros) as u8));
+        } else {
+            numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least) as u8));
         }
+        put_bytes(streams, buffers, most, head, out);
+    } else {
+        let numbers = &mut buffers.values;
+        numbers.clear();
+        numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least)));
+        put_wide(streams, buffers, most, head, out);
     }
     if out.len() - start > 1 + width * block.len() {
         out.truncate(start);
         out.push(Kind::Raw as u8);
         block.iter().for_each(|v| put_uint(v.ordered(), width, out));
+    }
+}
+
+/// Appends the numbers `buffers.bytes`, the greatest of them `most`, after a head.
+fn put_bytes(
+    streams: &mut StreamWriter,
+    buffers: &mut Buffers,
+    most: u64,
+    head: impl Fn(Kind, &mut Vec<u8>),
+    out: &mut Vec<u8>,
+) {
+    let Buffers { bytes, packed, .. } = buffers;
+    if let Some(table) = dictionary::build_bytes(bytes, packed) {
+        head(Kind::Dictionary, out);
+        dictionary::put(streams, &table, packed, out);
+    } else {
+        let choice = numbers::choose(bytes.len(), most, |i| u64::from(bytes[i]));
+        head(Kind::Numbers, out);
+        numbers::put(streams, bytes, packed, choice, out);
+    }
+}
+
+/// Appends the numbers `buffers.values`, the greatest of them `most`, after a head.
+fn put_wide(
+    streams: &mut StreamWriter,
+    buffers: &mut Buffers,
+    most: u64,
+    head: impl Fn(Kind, &mut Vec<u8>),
+    out: &mut Vec<u8>,
+) {
+    let Buffers { values, packed, .. } = buffers;
+    if let Some(table) = dictionary::build(values, packed) {
+        head(Kind::Dictionary, out);
+        dictionary::put(streams, &table, packed, out);
+        return;
+    }
+    let choice = numbers::choose(values.len(), most, |i| values[i]);
+    // Wide values that take many bits may be few different ones, or as jumbled as times are.
+    let rankable = most <= u64::from(u16::MAX) || choice.cost_bits > SORTED_ABOVE_BITS * values.len() as f32;
+    let ranked_head = |out: &mut Vec<u8>| head(Kind::Ranked, out);
+    if !rankable || !ranked::try_put(streams, buffers, most, choice.cost_bits, ranked_head, out) {
+        head(Kind::Numbers, out);
+        numbers::put(streams, &buffers.values, &mut buffers.packed, choice, out);
     }
 }
 
@@ -186,11 +270,14 @@ mod tests {
         ) {
             let values: Vec<_> = n.iter().map(|n| least + step * n).collect();
             let least = *values.iter().min().unwrap();
-            let found = common_step(&values, least);
-            prop_assert!(values.iter().all(|v| (v - least) % found == 0));
-            if values.iter().any(|v| *v != least) {
-                prop_assert_eq!(found % step, 0);
+            prop_assume!(values.iter().any(|v| *v != least));
+            let found = Step::common(&values, Value::survey(&values));
+            for value in &values {
+                prop_assert_eq!(least + found.size() * found.quotient(value - least), *value);
             }
+            let found = found.size();
+            prop_assert!(values.iter().all(|v| (v - least) % found == 0));
+            prop_assert_eq!(found, values.iter().fold(0, |d, v| gcd(d, v - least)));
         }
     }
 }

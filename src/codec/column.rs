@@ -33,7 +33,7 @@ fn type_code(ty: ScalarType) -> u8 {
 }
 
 /// Are all values the same, bit for bit?
-pub(super) fn is_constant<T: Value>(values: &[T]) -> bool {
+fn is_constant<T: Value>(values: &[T]) -> bool {
     // In runs, so that the compiler may compare many at once and a difference is seen soon.
     values
         .first()

@@ -22,20 +22,32 @@ fn index_bits(values: usize) -> u32 {
     }
 }
 
+/// The same as [`build`] for values of a byte.
+pub(super) fn build_bytes(values: &[u8], indices: &mut Vec<u8>) -> Option<Table> {
+    // Two maps, since a store that waits for the one before it is slow. Flags, not bits: the place is all there is to find.
+    let mut there = [[0_u8; 256]; 2];
+    for pair in values.chunks(2) {
+        there.iter_mut().zip(pair).for_each(|(there, value)| there[usize::from(*value)] = 1);
+    }
+    let mut rank = [0; 256];
+    let mut table = Vec::with_capacity(MAX_VALUES);
+    for value in 0..256 {
+        if there[0][value] | there[1][value] != 0 {
+            if table.len() == MAX_VALUES {
+                return None;
+            }
+            rank[value] = table.len() as u8;
+            table.push(value as u64);
+        }
+    }
+    indices.clear();
+    indices.extend(values.iter().map(|v| rank[usize::from(*v)]));
+    Some(table)
+}
+
 /// Finds the different values and the index of each; `None` if there are more than [`MAX_VALUES`].
 pub(super) fn build(values: &[u64], indices: &mut Vec<u8>) -> Option<Table> {
-    let all = values.iter().fold(0, |all, v| all | v);
     indices.clear();
-    if all < u64::from(u64::BITS) {
-        let there = values.iter().fold(0_u64, |there, v| there | 1 << v);
-        let table: Table = (0..u64::from(u64::BITS)).filter(|v| there >> v & 1 == 1).collect();
-        if table.len() > MAX_VALUES {
-            return None;
-        }
-        let rank: [u8; 64] = std::array::from_fn(|v| (there & ((1 << v) - 1)).count_ones() as u8);
-        indices.extend(values.iter().map(|v| rank[*v as usize & 63]));
-        return Some(table);
-    }
     let mut table = Vec::with_capacity(MAX_VALUES);
     let mut before = None;
     for &value in values {
@@ -68,13 +80,23 @@ pub(super) fn put(streams: &mut StreamWriter, table: &[u64], indices: &mut Vec<u
     let per_byte = (8 / bits) as usize;
     if per_byte > 1 {
         let packed = indices.len().div_ceil(per_byte);
-        for byte in 0..packed {
-            let end = indices.len().min((byte + 1) * per_byte);
-            indices[byte] = indices[byte * per_byte..end].iter().rev().fold(0, |b, i| b << bits | i);
+        indices.resize(packed * per_byte, 0);
+        match bits {
+            1 => pack::<8>(indices),
+            2 => pack::<4>(indices),
+            _ => pack::<2>(indices),
         }
         indices.truncate(packed);
     }
     streams.put(indices, out);
+}
+
+/// Packs `N` indices into each byte, from the first on.
+fn pack<const N: usize>(indices: &mut [u8]) {
+    for byte in 0..indices.len() / N {
+        let group = &indices[byte * N..(byte + 1) * N];
+        indices[byte] = group.iter().rev().fold(0, |b, i| b << (8 / N) | i);
+    }
 }
 
 /// Reads `count` values, up to the end of the block, into `out`, whose content is replaced.
@@ -145,6 +167,12 @@ mod tests {
                 return Ok(());
             };
             prop_assert_eq!(&found, &distinct);
+            if distinct.iter().all(|v| *v < 256) {
+                let narrow: Vec<_> = values.iter().map(|v| *v as u8).collect();
+                let mut same = Vec::new();
+                prop_assert_eq!(build_bytes(&narrow, &mut same), Some(found.clone()));
+                prop_assert_eq!(&same, &indices);
+            }
             let mut bytes = Vec::new();
             put(&mut StreamWriter::default(), &found, &mut indices, &mut bytes);
             let mut back = Vec::new();

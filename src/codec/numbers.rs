@@ -5,8 +5,7 @@
 
 use super::CodecError;
 use super::reader::Reader;
-use super::residual::{Plan, count, entropy_bits, plan, put_residuals, read_residuals};
-use super::scratch::NumberBuffers;
+use super::residual::{Plan, SAMPLE, plan, plan_bytes, put_residuals, read_residuals, sample};
 use super::stream::{StreamReader, StreamWriter};
 
 /// How numbers are written.
@@ -41,59 +40,95 @@ fn unzigzag(residual: u64) -> u64 {
     (residual >> 1) ^ (residual & 1).wrapping_neg()
 }
 
-/// What was found for some numbers; their differences stay in the buffers until they are put.
+/// Bits of `most` and of the zigzags of differences between numbers up to it.
+fn bit_lengths(most: u64) -> (u32, u32) {
+    let bits = u64::BITS - most.leading_zeros();
+    (bits, (bits + 1).min(u64::BITS))
+}
+
+/// What was found for some numbers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Choice {
     way: Way,
     mantissa: u32,
+    /// The greatest number.
+    most: u64,
     /// An estimate of the whole, in bits.
     pub(super) cost_bits: f32,
 }
 
-/// Finds the cheapest way for `numbers`, of which there is at least one.
-pub(super) fn choose(numbers: &[u64], buffers: &mut NumberBuffers) -> Choice {
-    let NumberBuffers { differences, bytes, byte_differences } = buffers;
-    differences.clear();
-    differences.extend(numbers.first().map(|v| zigzag(*v)));
-    differences.extend(numbers.windows(2).map(|w| zigzag(w[1].wrapping_sub(w[0]))));
-    let residuals = |way, Plan { mantissa, cost_bits }| Choice { way, mantissa, cost_bits };
-    let (plain, difference) = (plan(numbers), plan(differences));
-    let mut best = if difference.cost_bits < plain.cost_bits {
-        residuals(Way::Differences, difference)
-    } else {
-        residuals(Way::Residuals, plain)
-    };
-    if numbers.iter().fold(0, |all, n| all | n) <= u64::from(u8::MAX) {
+/// Finds the cheapest way for `count` numbers, the greatest of them `most`, by a sample of them.
+pub(super) fn choose(count: usize, most: u64, number: impl Fn(usize) -> u64) -> Choice {
+    let (mut plain, mut differences) = ([0; SAMPLE], [0; SAMPLE]);
+    let mut len = 0;
+    for run in sample(count) {
+        let mut before = if run.start == 0 { 0 } else { number(run.start - 1) };
+        let places = plain[len..].iter_mut().zip(&mut differences[len..]);
+        len += run.len();
+        for (i, (plain, difference)) in run.zip(places) {
+            let now = number(i);
+            *plain = now;
+            *difference = now.wrapping_sub(before);
+            before = now;
+        }
+    }
+    let (plain, differences) = (&plain[..len], &mut differences[..len]);
+    let (bits, difference_bits) = bit_lengths(most);
+    let choice = |way, Plan { mantissa, cost_bits }| Choice { way, mantissa, most, cost_bits };
+    let mut best = choice(Way::Residuals, plan(plain, bits, count));
+    let bytes = most <= u64::from(u8::MAX);
+    // Differences of bytes cost the same with or without their ninth bit.
+    let of_bytes = bytes.then(|| choice(Way::ByteDifferences, plan_bytes(differences.iter().map(|d| *d as u8), count)));
+    differences.iter_mut().for_each(|d| *d = zigzag(*d));
+    let difference = choice(Way::Differences, plan(differences, difference_bits, count));
+    if difference.cost_bits < best.cost_bits {
+        best = difference;
+    }
+    if let Some(of_bytes) = of_bytes {
         best.cost_bits *= RESIDUAL_PENALTY;
-        bytes.clear();
-        bytes.extend(numbers.iter().map(|v| *v as u8));
-        byte_differences.clear();
-        byte_differences.extend(bytes.first());
-        byte_differences.extend(bytes.windows(2).map(|w| w[1].wrapping_sub(w[0])));
-        for (way, symbols) in [(Way::Bytes, &*bytes), (Way::ByteDifferences, &*byte_differences)] {
-            let cost_bits = entropy_bits(&count(symbols.iter().copied()));
-            if cost_bits < best.cost_bits {
-                best = Choice { way, mantissa: 0, cost_bits };
+        let plain = choice(Way::Bytes, plan_bytes(plain.iter().map(|v| *v as u8), count));
+        for way in [plain, of_bytes] {
+            if way.cost_bits < best.cost_bits {
+                best = way;
             }
         }
     }
     best
 }
 
-/// Appends `numbers` as [`choose`] found best; `buffers` are as it left them.
-pub(super) fn put(
+/// Appends `numbers` as [`choose`] found best.
+pub(super) fn put<N: Copy + Into<u64>>(
     streams: &mut StreamWriter,
-    numbers: &[u64],
-    buffers: &NumberBuffers,
+    numbers: &[N],
+    bytes: &mut Vec<u8>,
     choice: Choice,
     out: &mut Vec<u8>,
 ) {
     out.push(choice.way as u8);
+    let (bits, difference_bits) = bit_lengths(choice.most);
+    let mut before = 0_u64;
+    let mut difference = |number: &N| {
+        let number = (*number).into();
+        number.wrapping_sub(std::mem::replace(&mut before, number))
+    };
     match choice.way {
-        Way::Bytes => streams.put(&buffers.bytes, out),
-        Way::ByteDifferences => streams.put(&buffers.byte_differences, out),
-        Way::Residuals => put_residuals(streams, numbers, choice.mantissa, out),
-        Way::Differences => put_residuals(streams, &buffers.differences, choice.mantissa, out),
+        Way::Bytes => {
+            bytes.clear();
+            bytes.extend(numbers.iter().map(|n| (*n).into() as u8));
+            streams.put(bytes, out);
+        }
+        Way::ByteDifferences => {
+            bytes.clear();
+            bytes.extend(numbers.iter().map(|n| difference(n) as u8));
+            streams.put(bytes, out);
+        }
+        Way::Residuals => {
+            put_residuals(streams, numbers.iter().map(|n| (*n).into()), bits, choice.mantissa, out);
+        }
+        Way::Differences => {
+            let zigzags = numbers.iter().map(|n| zigzag(difference(n)));
+            put_residuals(streams, zigzags, difference_bits, choice.mantissa, out);
+        }
     }
 }
 
@@ -172,13 +207,13 @@ mod tests {
                 prop::collection::vec(any::<u64>(), 1..300),
             ],
         ) {
-            let (mut buffers, mut writer) = (NumberBuffers::default(), StreamWriter::default());
+            let mut writer = StreamWriter::default();
             let (mut bytes, mut wide) = (Vec::new(), Vec::new());
-            let choice = choose(&numbers, &mut buffers);
             let largest = numbers.iter().copied().max().unwrap();
+            let choice = choose(numbers.len(), largest, |i| numbers[i]);
             for way in &Way::ALL[if largest < 256 { 0 } else { 2 }..] {
                 let mut out = Vec::new();
-                put(&mut writer, &numbers, &buffers, Choice { way: *way, mantissa: 0, ..choice }, &mut out);
+                put(&mut writer, &numbers, &mut bytes, Choice { way: *way, mantissa: 0, ..choice }, &mut out);
                 let mut read = |limit| {
                     let reader = Reader::new(&out);
                     let mut streams = StreamReader::default();

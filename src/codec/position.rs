@@ -6,7 +6,7 @@
 
 use super::directory::{Directory, put_head, read_head};
 use super::reader::{Reader, put_uint, put_varint};
-use super::residual::{plan, put_residuals, read_residuals};
+use super::residual::{plan_all, put_residuals, read_residuals};
 use super::{CodecError, Decoder, Encoder, block_count, block_range, morton, wide};
 use crate::lattice::{Cube, LOW_DIGITS, LatticeBox, LatticePoint, SortKey};
 use crate::points::Positions;
@@ -99,8 +99,8 @@ impl Encoder {
             return Err(index + 1);
         }
         put_uint(relative[0], key_bytes(cube), &mut self.blocks);
-        let mantissa = plan(differences).mantissa;
-        put_residuals(&mut self.streams, differences, mantissa, &mut self.blocks);
+        let (plan, bits) = plan_all(differences);
+        put_residuals(&mut self.streams, differences.iter().copied(), bits, plan.mantissa, &mut self.blocks);
         Ok(morton::bounds(cube, relative))
     }
 }

@@ -8,7 +8,7 @@
 
 use super::numbers::{self, Numbers};
 use super::reader::{Reader, put_varint};
-use super::residual::{plan, put_residuals, read_residuals};
+use super::residual::{plan_all, put_residuals, read_residuals};
 use super::scratch::{Buffers, Decoder};
 use super::stream::StreamWriter;
 use super::{BLOCK_POINTS, CodecError};
@@ -16,81 +16,11 @@ use super::{BLOCK_POINTS, CodecError};
 /// Bits of an index into a block.
 const INDEX_BITS: u32 = BLOCK_POINTS.ilog2();
 
-/// Bits that one pass of sorting orders by.
+/// The most bits that one pass of sorting orders by.
 const DIGIT_BITS: u32 = 11;
 
 /// Values below this are ranked by a bitmap, which costs less than sorting.
-const BITMAP_BITS: usize = 1 << 16;
-
-/// Finds the table's differences and the ranks of `values`; `false` if values are too large.
-fn rank(values: &[u64], buffers: &mut RankBuffers) -> bool {
-    let all = values.iter().fold(0, |all, v| all | v);
-    if all >> (u64::BITS - INDEX_BITS) != 0 {
-        return false;
-    }
-    buffers.table.clear();
-    buffers.ranks.clear();
-    if all < BITMAP_BITS as u64 {
-        rank_by_bitmap(values, buffers)
-    } else {
-        rank_by_sorting(values, all, buffers)
-    }
-    true
-}
-
-fn rank_by_bitmap(values: &[u64], buffers: &mut RankBuffers) {
-    let RankBuffers { table, ranks, bitmap, .. } = buffers;
-    // A word of the map, and how many values are before it.
-    bitmap.clear();
-    bitmap.resize(BITMAP_BITS / 64, (0, 0));
-    values.iter().for_each(|v| bitmap[(v >> 6) as usize].0 |= 1 << (v & 63));
-    let mut before = 0;
-    for (index, (word, less)) in bitmap.iter_mut().enumerate() {
-        *less = table.len() as u64;
-        let mut rest = *word;
-        while rest != 0 {
-            let value = (index * 64) as u64 + u64::from(rest.trailing_zeros());
-            table.push(value - before);
-            before = value;
-            rest &= rest - 1;
-        }
-    }
-    ranks.extend(values.iter().map(|v| {
-        let (word, less) = bitmap[(v >> 6) as usize];
-        less + u64::from((word & ((1 << (v & 63)) - 1)).count_ones())
-    }));
-}
-
-fn rank_by_sorting(values: &[u64], all: u64, buffers: &mut RankBuffers) {
-    let RankBuffers { table, ranks, sorted, other, .. } = buffers;
-    sorted.clear();
-    sorted.extend(values.iter().zip(0_u64..).map(|(v, i)| v << INDEX_BITS | i));
-    other.resize(sorted.len(), 0);
-    // Lowest digit first; each pass keeps the order of the one before.
-    for shift in (INDEX_BITS..u64::BITS - all.leading_zeros() + INDEX_BITS).step_by(DIGIT_BITS as usize) {
-        let digit = |entry: u64| (entry >> shift) as usize & ((1 << DIGIT_BITS) - 1);
-        let mut places = [0_u32; 1 << DIGIT_BITS];
-        sorted.iter().for_each(|entry| places[digit(*entry)] += 1);
-        let mut sum = 0;
-        places.iter_mut().for_each(|place| sum += std::mem::replace(place, sum));
-        for &entry in sorted.iter() {
-            let place = &mut places[digit(entry)];
-            other[*place as usize] = entry;
-            *place += 1;
-        }
-        std::mem::swap(sorted, other);
-    }
-    ranks.resize(values.len(), 0);
-    let mut before = None;
-    for &entry in sorted.iter() {
-        let value = entry >> INDEX_BITS;
-        if before != Some(value) {
-            table.push(value - before.unwrap_or(0));
-            before = Some(value);
-        }
-        ranks[(entry & ((1 << INDEX_BITS) - 1)) as usize] = table.len() as u64 - 1;
-    }
-}
+const BITMAP_BITS: u64 = 1 << 16;
 
 /// What ranking needs.
 #[derive(Debug, Default)]
@@ -98,40 +28,140 @@ pub(super) struct RankBuffers {
     /// Differences between all different values.
     table: Vec<u64>,
     /// The rank of each point's value.
-    ranks: Vec<u64>,
+    ranks: Vec<u16>,
     /// Values and places.
     sorted: Vec<u64>,
     other: Vec<u64>,
-    bitmap: Vec<(u64, u64)>,
+    /// Which values there are.
+    bitmap: Vec<u64>,
+    /// The ranks of those.
+    rank_of: Vec<u16>,
     /// The table's bytes, whose length comes first.
     packed: Vec<u8>,
 }
 
-/// Appends `buffers.values` after `head` if that is estimated to take less than `limit_bits`, and says if it did.
+impl RankBuffers {
+    /// Finds the table and the rank of each value of it, for values up to `most`, if ranks may be worth it: they save
+    /// at most what their share of all values up to `most` is in bits, and the table takes some bits a value.
+    fn rank_by_bitmap(&mut self, values: &[u64], most: u64, sure: bool) -> bool {
+        let Self { table, bitmap, rank_of, .. } = self;
+        bitmap.clear();
+        bitmap.resize(most as usize / 64 + 1, 0);
+        values.iter().for_each(|v| bitmap[(v >> 6) as usize] |= 1 << (v & 63));
+        let distinct: u32 = bitmap.iter().map(|word| word.count_ones()).sum();
+        let saved = values.len() as f32 * ((most + 1) as f32 / distinct as f32).log2();
+        if !sure && saved < (TABLE_BITS * distinct) as f32 {
+            return false;
+        }
+        table.clear();
+        if rank_of.len() <= most as usize {
+            rank_of.resize(most as usize + 1, 0);
+        }
+        let mut before = 0;
+        for (index, word) in bitmap.iter().enumerate() {
+            let mut rest = *word;
+            while rest != 0 {
+                let value = (index * 64) as u64 + u64::from(rest.trailing_zeros());
+                rank_of[value as usize] = table.len() as u16;
+                table.push(value - before);
+                before = value;
+                rest &= rest - 1;
+            }
+        }
+        true
+    }
+
+    /// Finds the table and the rank of each point, for values up to `most`.
+    fn rank_by_sorting(&mut self, values: &[u64], most: u64) {
+        let Self { table, ranks, sorted, other, .. } = self;
+        let bits = u64::BITS - most.leading_zeros();
+        let digit_bits = bits.div_ceil(bits.div_ceil(DIGIT_BITS).max(1));
+        let digit = |entry: u64, shift: u32| (entry >> shift) as usize & ((1 << digit_bits) - 1) & (DIGITS - 1);
+        let mut counts = [0_u16; DIGITS];
+        sorted.clear();
+        sorted.extend(values.iter().zip(0_u64..).map(|(v, i)| {
+            let entry = v << INDEX_BITS | i;
+            counts[digit(entry, INDEX_BITS)] += 1;
+            entry
+        }));
+        other.resize(sorted.len(), 0);
+        // Lowest digit first; each pass keeps the order of the one before, and counts for the next.
+        for shift in (INDEX_BITS..bits + INDEX_BITS).step_by(digit_bits as usize) {
+            let mut places = counts;
+            let mut sum = 0;
+            places[..1 << digit_bits].iter_mut().for_each(|place| sum += std::mem::replace(place, sum));
+            counts[..1 << digit_bits].fill(0);
+            for &entry in sorted.iter() {
+                let place = &mut places[digit(entry, shift)];
+                other[usize::from(*place)] = entry;
+                *place += 1;
+                counts[digit(entry, (shift + digit_bits).min(u64::BITS - 1))] += 1;
+            }
+            std::mem::swap(sorted, other);
+        }
+        ranks.clear();
+        ranks.resize(values.len(), 0);
+        table.clear();
+        let mut before = None;
+        for &entry in sorted.iter() {
+            let value = entry >> INDEX_BITS;
+            if before != Some(value) {
+                table.push(value - before.unwrap_or(0));
+                before = Some(value);
+            }
+            ranks[(entry & ((1 << INDEX_BITS) - 1)) as usize] = (table.len() - 1) as u16;
+        }
+    }
+}
+
+/// All digits of one pass.
+const DIGITS: usize = 1 << DIGIT_BITS;
+
+/// The least that a value of the table costs, in bits.
+const TABLE_BITS: u32 = 2;
+
+/// Appends `buffers.values`, the greatest of them `most`, after `head` if that is estimated to take less than
+/// `limit_bits`, and says if it did.
 pub(super) fn try_put(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
+    most: u64,
     limit_bits: f32,
     head: impl Fn(&mut Vec<u8>),
     out: &mut Vec<u8>,
 ) -> bool {
-    let Buffers { values, rank: ranking, rank_numbers, .. } = buffers;
-    if !rank(values, ranking) {
+    let Buffers { values, rank: ranking, packed: symbols, .. } = buffers;
+    let choice;
+    if most < BITMAP_BITS {
+        if !ranking.rank_by_bitmap(values, most, limit_bits == f32::INFINITY) {
+            return false;
+        }
+        let greatest = ranking.table.len() as u64 - 1;
+        let rank_of = &ranking.rank_of;
+        choice = numbers::choose(values.len(), greatest, |i| u64::from(rank_of[values[i] as usize]));
+    } else if most >> (u64::BITS - INDEX_BITS) == 0 {
+        ranking.rank_by_sorting(values, most);
+        let greatest = ranking.table.len() as u64 - 1;
+        choice = numbers::choose(values.len(), greatest, |i| u64::from(ranking.ranks[i]));
+    } else {
         return false;
     }
-    let RankBuffers { table, ranks, packed, .. } = ranking;
-    let table_plan = plan(table);
-    let choice = numbers::choose(ranks, rank_numbers);
+    let RankBuffers { table, ranks, rank_of, packed, .. } = ranking;
+    let (table_plan, table_bits) = plan_all(table);
     if table_plan.cost_bits + choice.cost_bits >= limit_bits {
         return false;
+    }
+    if most < BITMAP_BITS {
+        ranks.clear();
+        ranks.extend(values.iter().map(|v| rank_of[*v as usize]));
     }
     head(out);
     put_varint(table.len() as u64, out);
     packed.clear();
-    put_residuals(streams, table, table_plan.mantissa, packed);
+    put_residuals(streams, table.iter().copied(), table_bits, table_plan.mantissa, packed);
     put_varint(packed.len() as u64, out);
     out.extend_from_slice(packed);
-    numbers::put(streams, ranks, rank_numbers, choice, out);
+    numbers::put(streams, ranks, symbols, choice, out);
     true
 }
 
@@ -173,9 +203,10 @@ mod tests {
             repeat in 1_usize..5,
         ) {
             let values: Vec<_> = (0..values.len()).map(|i| values[i / repeat] >> (64 - bits)).collect();
+            let most = values.iter().copied().max().unwrap();
             let mut buffers = Buffers { values: values.clone(), ..Buffers::default() };
             let (mut bytes, mut writer) = (Vec::new(), StreamWriter::default());
-            prop_assert!(try_put(&mut writer, &mut buffers, f32::INFINITY, |_| (), &mut bytes));
+            prop_assert!(try_put(&mut writer, &mut buffers, most, f32::INFINITY, |_| (), &mut bytes));
             let mut decoder = Decoder::new();
             read(&mut decoder, Reader::new(&bytes), values.len()).unwrap();
             prop_assert_eq!(&decoder.values, &values);
@@ -183,7 +214,7 @@ mod tests {
             distinct.sort_unstable();
             distinct.dedup();
             prop_assert_eq!(&decoder.table, &distinct);
-            prop_assert!(!try_put(&mut writer, &mut buffers, 0.0, |_| (), &mut bytes));
+            prop_assert!(!try_put(&mut writer, &mut buffers, most, 0.0, |_| (), &mut bytes));
         }
     }
 }

@@ -10,6 +10,7 @@ use super::CodecError;
 use super::bits::{BitWriter, MAX_BITS, PADDING, bits_at, wide_bits_at};
 use super::reader::Reader;
 use super::stream::{StreamReader, StreamWriter};
+use std::ops::Range;
 use std::sync::LazyLock;
 
 /// More mantissa bits would leave no symbol for larger values.
@@ -18,10 +19,12 @@ const MAX_MANTISSA: u32 = 8;
 /// What a symbol costs in the table of an entropy coder, in bits.
 const SYMBOL_BITS: f32 = 5.0;
 
-/// `n log2 n` for the counts of a block.
-static COUNT_LOG: LazyLock<Vec<f32>> = LazyLock::new(|| {
-    (0..=super::BLOCK_POINTS).map(|n| if n == 0 { 0.0 } else { n as f32 * (n as f32).log2() }).collect()
-});
+/// The most values that [`sample`] takes: as many runs as fit, and what a stride rounded down leaves.
+pub(super) const SAMPLE: usize = 2 * SAMPLE_RUNS * SAMPLE_RUN;
+
+/// `n log2 n` for the counts of a sample.
+static COUNT_LOG: LazyLock<Vec<f32>> =
+    LazyLock::new(|| (0..=SAMPLE).map(|n| if n == 0 { 0.0 } else { n as f32 * (n as f32).log2() }).collect());
 
 /// How values are split, and what they will cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,11 +38,10 @@ pub(super) struct Plan {
 /// The symbol of `value` and how many bits it leaves open.
 #[inline]
 fn split(value: u64, mantissa: u32) -> (u8, u32) {
-    let bits = 64 - value.leading_zeros();
-    let tail = bits.saturating_sub(1 + mantissa);
-    let group = bits.saturating_sub(mantissa);
-    let mask = (1_u64 << mantissa) - 1;
-    ((group << mantissa | (value >> tail & mask) as u32) as u8, tail)
+    // Values without open bits count as if they had their leading one at bit `mantissa`, so there is one rule for all:
+    // the leading one, which stays in `value >> tail`, carries into the count of bits.
+    let tail = (value | 1 << mantissa).ilog2() - mantissa;
+    (((tail << mantissa) + (value >> tail) as u32) as u8, tail)
 }
 
 /// The least value with this symbol, and how many bits it leaves open.
@@ -57,94 +59,145 @@ fn finest_mantissa(bits: u32) -> u32 {
     (0..=MAX_MANTISSA).rev().find(|m| (bits.saturating_sub(*m) + 1) << m <= 256).unwrap_or(0)
 }
 
-/// `n log2 n`.
-fn count_log(n: u32) -> f32 {
-    COUNT_LOG.get(n as usize).copied().unwrap_or_else(|| n as f32 * (n as f32).log2())
-}
-
-/// Bits that an order-0 coder needs for symbols of which there are so many each, with its table.
-pub(super) fn entropy_bits(counts: &[u32; 256]) -> f32 {
-    let (mut total, mut parts) = (0, 0.0);
-    for n in counts.iter().filter(|n| **n > 0) {
-        (total, parts) = (total + n, parts + count_log(*n) - SYMBOL_BITS);
-    }
-    count_log(total) - parts
-}
-
-/// How often each symbol is there.
-pub(super) fn count(symbols: impl Iterator<Item = u8>) -> [u32; 256] {
-    // Two tables, since an addition that waits for the one before it is slow.
-    let mut counts = [[0_u32; 256]; 2];
-    let mut which = 0;
-    for symbol in symbols {
-        counts[which][usize::from(symbol)] += 1;
-        which ^= 1;
-    }
-    std::array::from_fn(|s| counts[0][s] + counts[1][s])
-}
-
-/// Runs of values that stand for all of a block when plans are made.
-fn sample(values: &[u64]) -> impl Iterator<Item = u64> + '_ {
-    let stride = (values.len() / SAMPLE_RUNS).max(SAMPLE_RUN);
-    values.chunks(stride).flat_map(|run| &run[..run.len().min(SAMPLE_RUN)]).copied()
+/// The runs of a block's values that stand for all of them when plans are made.
+pub(super) fn sample(count: usize) -> impl Iterator<Item = Range<usize>> {
+    let stride = (count / SAMPLE_RUNS).max(SAMPLE_RUN);
+    (0..count).step_by(stride).map(move |start| start..(start + SAMPLE_RUN).min(count))
 }
 
 const SAMPLE_RUNS: usize = 8;
 const SAMPLE_RUN: usize = 128;
 
-/// Finds the cheapest split of `values`.
-pub(super) fn plan(values: &[u64]) -> Plan {
-    let all = values.iter().fold(0, |all, v| all | v);
-    let mut mantissa = finest_mantissa(64 - all.leading_zeros());
-    let mut counts = count(sample(values).map(|v| split(v, mantissa).0));
-    let scale = values.len() as f32 / counts.iter().sum::<u32>().max(1) as f32;
-    let mut best = Plan { mantissa, cost_bits: f32::INFINITY };
-    loop {
-        let mut coarser = [0; 256];
+/// How often each of a sample's symbols is there.
+struct Counts {
+    counts: [u32; 256],
+    mantissa: u32,
+    /// Symbols from here on are not there.
+    end: usize,
+}
+
+impl Counts {
+    /// For values of at most `bits` bits, with symbols as fine as they allow.
+    fn new(sample: &[u64], bits: u32) -> Self {
+        let mantissa = finest_mantissa(bits);
+        // Two tables, since an addition that waits for the one before it is slow.
+        let mut tables = [[0_u32; 256]; 2];
+        for pair in sample.chunks(2) {
+            for (table, value) in tables.iter_mut().zip(pair) {
+                table[usize::from(split(*value, mantissa).0)] += 1;
+            }
+        }
+        let counts = std::array::from_fn(|s| tables[0][s] + tables[1][s]);
+        Self { counts, mantissa, end: ((bits.saturating_sub(mantissa) + 1) << mantissa) as usize }
+    }
+
+    /// One mantissa bit less.
+    fn coarsen(&mut self) {
+        let half = 1 << (self.mantissa - 1);
+        // Symbols below `2 half` are values and stay what they are.
+        for symbol in (2 * half..self.end).step_by(2) {
+            let n = self.counts[symbol] + self.counts[symbol + 1];
+            self.counts[symbol] = 0;
+            self.counts[symbol + 1] = 0;
+            self.counts[symbol / 2 + half] = n;
+        }
+        self.end = self.end / 2 + half;
+        self.mantissa -= 1;
+    }
+
+    /// What `scale` times as many values cost, in bits.
+    fn cost(&self, scale: f32) -> f32 {
+        let log = &**COUNT_LOG;
         let (mut used, mut tails, mut total, mut parts) = (0, 0, 0, 0.0);
-        for (symbol, n) in counts.iter().enumerate().filter(|(_, n)| **n > 0) {
-            let (base, tail) = join(symbol as u8, mantissa);
-            (used, tails, total, parts) = (used + 1, tails + n * tail, total + n, parts + count_log(*n));
-            coarser[usize::from(split(base, mantissa.saturating_sub(1)).0)] += n;
+        let groups = self.counts[..self.end].chunks(1 << self.mantissa);
+        for (tail, group) in std::iter::once(0).chain(0..).zip(groups) {
+            let mut points = 0;
+            for &n in group {
+                used += u32::from(n > 0);
+                points += n;
+                parts += log[n as usize];
+            }
+            tails += points * tail;
+            total += points;
         }
-        let sampled_bits = count_log(total) - parts + tails as f32;
-        let cost_bits = sampled_bits * scale + used as f32 * SYMBOL_BITS;
-        if cost_bits < best.cost_bits {
-            best = Plan { mantissa, cost_bits };
-        } else if cost_bits > 1.02 * best.cost_bits {
-            return best;
-        }
-        if mantissa == 0 {
-            return best;
-        }
-        counts = coarser;
-        mantissa -= 1;
+        (log[total as usize] - parts + tails as f32) * scale + used as f32 * SYMBOL_BITS
     }
 }
 
-/// Appends `values`, split with `mantissa`: `mantissa u8`, the stream of symbols, the open bits to the end of the block.
-pub(super) fn put_residuals(streams: &mut StreamWriter, values: &[u64], mantissa: u32, out: &mut Vec<u8>) {
+/// Finds the cheapest split of `count` values of at most `bits` bits, of which [`sample`] took `taken`.
+pub(super) fn plan(taken: &[u64], bits: u32, count: usize) -> Plan {
+    let mut counts = Counts::new(taken, bits);
+    let scale = count as f32 / taken.len().max(1) as f32;
+    let mut best = Plan { mantissa: counts.mantissa, cost_bits: counts.cost(scale) };
+    while counts.mantissa > 0 {
+        counts.coarsen();
+        let cost_bits = counts.cost(scale);
+        if cost_bits < best.cost_bits {
+            best = Plan { mantissa: counts.mantissa, cost_bits };
+        } else if cost_bits > 1.02 * best.cost_bits {
+            break;
+        }
+    }
+    best
+}
+
+/// What `count` symbols of a byte each cost, of which [`sample`] took `taken`.
+pub(super) fn plan_bytes(taken: impl ExactSizeIterator<Item = u8>, count: usize) -> Plan {
+    let scale = count as f32 / taken.len().max(1) as f32;
+    let mut counts = [0; 256];
+    taken.for_each(|symbol| counts[usize::from(symbol)] += 1);
+    let mantissa = MAX_MANTISSA;
+    Plan { mantissa, cost_bits: Counts { counts, mantissa, end: 256 }.cost(scale) }
+}
+
+/// The same as [`plan`] for all values of a slice, and how many bits they have at most.
+pub(super) fn plan_all(values: &[u64]) -> (Plan, u32) {
+    let all = values.iter().fold(0, |all, v| all | v);
+    let mut taken = [0; SAMPLE];
+    let mut len = 0;
+    for run in sample(values.len()) {
+        taken[len..len + run.len()].copy_from_slice(&values[run.clone()]);
+        len += run.len();
+    }
+    let bits = u64::BITS - all.leading_zeros();
+    (plan(&taken[..len], bits, values.len()), bits)
+}
+
+/// Appends values of at most `bits` bits, split with `mantissa`: `mantissa u8`, the stream of symbols, the open bits to
+/// the end of the block.
+pub(super) fn put_residuals(
+    streams: &mut StreamWriter,
+    values: impl ExactSizeIterator<Item = u64>,
+    bits: u32,
+    mantissa: u32,
+    out: &mut Vec<u8>,
+) {
     out.push(mantissa as u8);
     let mut symbols = std::mem::take(&mut streams.symbols);
+    let mut tails = std::mem::take(&mut streams.tails);
     symbols.clear();
-    symbols.extend(values.iter().map(|v| split(*v, mantissa).0));
-    streams.put(&symbols, out);
-    let largest = symbols.iter().copied().max().unwrap_or(0);
-    let widest = join(largest, mantissa).1;
-    if widest > 0 {
-        let open = symbols.iter().map(|s| join(*s, mantissa).1 as usize).sum();
-        let mut writer = BitWriter::new(out, open);
-        for (&value, &symbol) in values.iter().zip(&symbols) {
-            let tail = join(symbol, mantissa).1;
-            if widest <= MAX_BITS {
-                writer.put(value & ((1 << tail) - 1), tail);
-            } else {
-                writer.put_wide(value & ((1 << tail) - 1), tail);
-            }
-        }
-        writer.finish();
+    let widest = bits.saturating_sub(1 + mantissa);
+    let mut writer = BitWriter::new(&mut tails, values.len() * widest as usize);
+    if widest == 0 {
+        symbols.extend(values.map(|v| v as u8));
+    } else if widest <= MAX_BITS {
+        symbols.extend(values.map(|value| {
+            let (symbol, tail) = split(value, mantissa);
+            writer.put(value & ((1 << tail) - 1), tail);
+            symbol
+        }));
+    } else {
+        symbols.extend(values.map(|value| {
+            let (symbol, tail) = split(value, mantissa);
+            writer.put_wide(value & ((1 << tail) - 1), tail);
+            symbol
+        }));
     }
+    let written = writer.finish();
+    streams.put(&symbols, out);
+    out.extend_from_slice(&tails[..written]);
     streams.symbols = symbols;
+    streams.tails = tails;
 }
 
 /// Reads `count` values of at most `max_bits` bits, up to the end of the block, into `out`, whose content is replaced.
@@ -239,11 +292,11 @@ mod tests {
         fn every_value_comes_back_from_every_split(values in values()) {
             let all = values.iter().fold(0, |all, v| all | v);
             let bits = 64 - all.leading_zeros();
-            prop_assert!(plan(&values).mantissa <= finest_mantissa(bits));
+            prop_assert!(plan_all(&values).0.mantissa <= finest_mantissa(bits));
             let (mut writer, mut reader) = (StreamWriter::default(), StreamReader::default());
             for mantissa in 0..=finest_mantissa(bits) {
                 let (mut bytes, mut back) = (Vec::new(), Vec::new());
-                put_residuals(&mut writer, &values, mantissa, &mut bytes);
+                put_residuals(&mut writer, values.iter().copied(), bits, mantissa, &mut bytes);
                 read_residuals(&mut reader, Reader::new(&bytes), values.len(), bits, &mut back).unwrap();
                 prop_assert_eq!(&back, &values);
                 if bits > 0 {

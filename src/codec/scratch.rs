@@ -21,25 +21,12 @@ pub(super) struct Buffers {
     pub(super) values: Vec<u64>,
     /// Differences of keys.
     pub(super) residuals: Vec<u64>,
-    /// Indices of values.
+    /// The values, where all fit, or indices of values.
     pub(super) bytes: Vec<u8>,
-    /// For the values.
-    pub(super) numbers: NumberBuffers,
-    /// For their ranks.
+    /// For ranks.
     pub(super) rank: RankBuffers,
-    /// For their ranks as numbers.
-    pub(super) rank_numbers: NumberBuffers,
-}
-
-/// Other forms of a block's numbers.
-#[derive(Debug, Default)]
-pub(super) struct NumberBuffers {
-    /// Differences from one to the next, as zigzags.
-    pub(super) differences: Vec<u64>,
-    /// The numbers, where all fit.
-    pub(super) bytes: Vec<u8>,
-    /// Differences from one to the next, modulo 256.
-    pub(super) byte_differences: Vec<u8>,
+    /// Symbols.
+    pub(super) packed: Vec<u8>,
 }
 
 /// Decodes chunks, one at a time; keep one per thread.

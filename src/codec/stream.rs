@@ -25,6 +25,8 @@ pub(super) struct StreamWriter {
     frame: Vec<u8>,
     /// Symbols of one block, for the use of callers.
     pub(super) symbols: Vec<u8>,
+    /// Their open bits, for the use of callers.
+    pub(super) tails: Vec<u8>,
 }
 
 /// Reads streams.
@@ -86,7 +88,7 @@ impl StreamReader {
 
 impl Default for StreamWriter {
     fn default() -> Self {
-        Self { zstd: CCtx::create(), frame: Vec::new(), symbols: Vec::new() }
+        Self { zstd: CCtx::create(), frame: Vec::new(), symbols: Vec::new(), tails: Vec::new() }
     }
 }
 

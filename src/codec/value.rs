@@ -11,6 +11,34 @@ pub(super) trait Value: Copy + Default {
     fn bits(self) -> u64;
     /// The reverse of [`Value::bits`]; bits above the type's width are ignored.
     fn of_bits(bits: u64) -> Self;
+    /// How values lie, of which there is at least one.
+    fn survey(values: &[Self]) -> Survey;
+}
+
+/// How a block's values lie, by [`Value::ordered`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Survey {
+    pub(super) least: u64,
+    pub(super) greatest: u64,
+    /// The bits in which some value is not as the first.
+    pub(super) differing: u64,
+}
+
+/// [`Value::survey`] in the type's own width, so that the compiler may take many values at once.
+macro_rules! survey {
+    ($u:ty) => {
+        fn survey(values: &[Self]) -> Survey {
+            let native = |v: &Self| v.ordered() as $u;
+            let first = native(&values[0]);
+            let (mut least, mut greatest, mut differing) = (first, first, 0);
+            for value in values.iter().map(native) {
+                least = least.min(value);
+                greatest = greatest.max(value);
+                differing |= value ^ first;
+            }
+            Survey { least: u64::from(least), greatest: u64::from(greatest), differing: u64::from(differing) }
+        }
+    };
 }
 
 macro_rules! unsigned {
@@ -35,6 +63,8 @@ macro_rules! unsigned {
             fn of_bits(bits: u64) -> Self {
                 bits as $t
             }
+
+            survey!($t);
         }
     )*};
 }
@@ -61,6 +91,8 @@ macro_rules! signed {
             fn of_bits(bits: u64) -> Self {
                 bits as $t
             }
+
+            survey!($u);
         }
     )*};
 }
@@ -92,6 +124,8 @@ macro_rules! float {
             fn of_bits(bits: u64) -> Self {
                 Self::from_bits(bits as $u)
             }
+
+            survey!($u);
         }
     )*};
 }

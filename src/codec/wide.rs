@@ -91,17 +91,21 @@ pub(super) fn put_block<K: SortKey>(
         }
         before = key;
     }
-    let mut writer = BitWriter::new(out, 8 * key_bytes(cube));
+    let mut packed = std::mem::take(&mut streams.tails);
+    let mut writer = BitWriter::new(&mut packed, 8 * key_bytes(cube));
     put_key(&mut writer, difference(start, first), 8 * key_bytes(cube) as u32);
-    writer.finish();
+    let written = writer.finish();
+    out.extend_from_slice(&packed[..written]);
     streams.put(symbols, out);
     let open = symbols.iter().map(|s| usize::from(s.saturating_sub(1))).sum();
-    let mut writer = BitWriter::new(out, open);
+    let mut writer = BitWriter::new(&mut packed, open);
     for pair in keys.windows(2) {
         let difference = difference(whole(&pair[1]), whole(&pair[0]));
         put_key(&mut writer, difference, bit_length(difference).saturating_sub(1));
     }
-    writer.finish();
+    let written = writer.finish();
+    out.extend_from_slice(&packed[..written]);
+    streams.tails = packed;
     Ok(bounds)
 }
 

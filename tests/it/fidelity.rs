@@ -56,9 +56,12 @@ fn every_las_and_laz_file_comes_back_record_for_record() {
     assert!(unread.len() <= same / 3, "too many files were not compared: {unread:?}");
 }
 
+/// Places with canonical record bytes, sorted.
+type Records = Vec<(LatticePoint, Vec<u8>)>;
+
 /// The points of a PLY file that have a place on the lattice, with their attributes as canonical bytes; and the largest
 /// distance of a coordinate from its place, in quanta.
-fn ply_points(path: &Path, lattice: &Lattice) -> Option<(Vec<(LatticePoint, Vec<u8>)>, f64)> {
+fn ply_points(path: &Path, lattice: &Lattice) -> Option<(Records, f64)> {
     let source = open(path, &ReadOptions::default()).ok()?;
     let layout = source.info().layout.clone();
     let (mut points, mut largest) = (Vec::new(), 0.0_f64);

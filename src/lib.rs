@@ -15,3 +15,8 @@ pub mod store;
 
 #[cfg(feature = "cli")]
 pub mod cli;
+
+/// README.md, whose example is compiled with the doc tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -89,6 +89,14 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let result = ingest(&arguments.store, &arguments.inputs, &options, &shown);
     shown.clear();
     let report = result?;
+    for note in &report.notes {
+        eprintln!("esker: {}", output::clean(note));
+    }
+    for scan in &report.scans {
+        for warning in &scan.warnings {
+            eprintln!("esker: {}: {}", output::clean(&scan.name), output::clean(warning));
+        }
+    }
     if arguments.json {
         output::json(&serde_json::to_value(&report).context("the report as JSON")?)?;
     } else {

@@ -2,7 +2,8 @@
 
 use std::io::{self, Write};
 
-/// The error and its causes on one line, without saying anything twice.
+/// The error and its causes on one line, without saying anything twice. What is wrong with a filter keeps its second and
+/// third line, which point at the place.
 pub(super) fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain() {
@@ -14,7 +15,7 @@ pub(super) fn one_line(error: &anyhow::Error) -> String {
             line.push_str(&text);
         }
     }
-    line.replace('\n', " ")
+    if line.starts_with("filter: ") { line } else { line.replace('\n', " ") }
 }
 
 /// Was the reader of our stdout gone?

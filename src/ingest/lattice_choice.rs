@@ -82,7 +82,7 @@ fn finest(evidence: &[Evidence], notes: &mut Vec<String>) -> [Decimal; 3] {
 
 /// The largest power of ten that is at most a millionth of `extent`, within 1e-6 to 1e-3.
 fn for_extent(extent: f64) -> Decimal {
-    let fits = |exponent: i32| Decimal::new(1, exponent).to_f64() <= extent * 1e-6;
+    let fits = |exponent: i32| Decimal::new(1, exponent).to_f64() <= extent / 1e6;
     (-6..=-3).rev().find(|&e| fits(e)).map_or(Decimal::new(1, -6), |e| Decimal::new(1, e))
 }
 

@@ -81,12 +81,14 @@ pub(in crate::store) fn put_chunk(connection: &Connection, chunk: &ChunkRow) -> 
     )
 }
 
-/// The bytes of the row that is named, which must be there, be whole, and be what its node's row says.
+/// Appends the bytes of the row that is named, which must be there, be whole, and be what its node's row says; gives
+/// where they are in `out`.
 pub(in crate::store) fn read_chunk(
     connection: &Connection,
     name: RowName<'_>,
     expected_bytes: u32,
-) -> Result<Vec<u8>, RowError> {
+    out: &mut Vec<u8>,
+) -> Result<Range<usize>, RowError> {
     let head = name.head;
     let mut statement = connection
         .prepare_cached("SELECT id, layer, key, part, slot, points, codec, bytes, checksum FROM chunk WHERE id = ?")?;
@@ -110,7 +112,9 @@ pub(in crate::store) fn read_chunk(
     if name.slot != SLOT_PACKED && bytes.first().copied() != Some(columns.int(6)?) {
         return Err(name.damage("the codec is not the first byte"));
     }
-    Ok(bytes.to_vec())
+    let start = out.len();
+    out.extend_from_slice(bytes);
+    Ok(start..out.len())
 }
 
 /// The ranges of ids that wait to be removed, both ends inside, ascending.

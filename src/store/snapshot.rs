@@ -7,7 +7,6 @@ use super::model::{NodeHead, SLOT_PACKED, Scan, ScanId, Site, Slot, StoredAttrib
 use super::place::{Place, lock};
 use super::rows::{self, RowName, SiteRow};
 use rusqlite::Connection;
-use std::cell::Cell;
 use std::ops::{AddAssign, Deref, Range};
 use std::sync::{Arc, OnceLock};
 
@@ -53,52 +52,18 @@ impl AddAssign for ReadCost {
     }
 }
 
-/// One encoded column of one part: what `codec` decodes. Cheap to clone; the columns that were read together share
-/// their memory.
+/// One encoded column of one part: what `codec` decodes. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct ChunkBytes {
-    rows: Arc<RowBytes>,
+    row: Arc<Vec<u8>>,
     range: Range<usize>,
-}
-
-thread_local! {
-    /// What the last rows were read into: fresh memory costs more than what is read, since the system clears it.
-    static SPARE: Cell<Vec<u8>> = const { Cell::new(Vec::new()) };
-}
-
-/// The most bytes that a thread keeps for the next rows; parts have less but for rare ones.
-const MOST_SPARE_BYTES: usize = 4 << 20;
-
-/// The rows that were read together, one after the other.
-#[derive(Debug)]
-struct RowBytes(Vec<u8>);
-
-impl RowBytes {
-    fn with_capacity(bytes: usize) -> Self {
-        let mut spare = SPARE.take();
-        spare.clear();
-        spare.reserve(bytes);
-        Self(spare)
-    }
-}
-
-impl Drop for RowBytes {
-    fn drop(&mut self) {
-        let bytes = std::mem::take(&mut self.0);
-        // Not where the thread is ending.
-        let _ = SPARE.try_with(|spare| {
-            let other = spare.take();
-            let fits = (other.capacity()..=MOST_SPARE_BYTES).contains(&bytes.capacity());
-            spare.set(if fits { bytes } else { other });
-        });
-    }
 }
 
 impl Deref for ChunkBytes {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {
-        &self.rows.0[self.range.clone()]
+        &self.row[self.range.clone()]
     }
 }
 
@@ -255,44 +220,35 @@ fn read_part(
 ) -> Result<Vec<Option<ChunkBytes>>, RowError> {
     let name = |slot| RowName { head, part, slot };
     let facts = head.parts.get(part).ok_or_else(|| name(SLOT_PACKED).damage("the node has no such part"))?;
-    let own = |slot: Slot| facts.chunks.binary_search_by_key(&slot, |c| c.0).ok().map(|i| facts.chunks[i].1);
-    let is_packed = |slot: Slot| facts.packed.binary_search(&slot).is_ok();
-    let bytes: usize = slots.iter().filter_map(|&slot| own(slot)).map(|bytes| bytes as usize).sum();
-    let packed_bytes = if slots.iter().any(|&slot| is_packed(slot)) { facts.packed_bytes as usize } else { 0 };
-    // What a wrong row says must not be allocated before it is seen to be there.
-    let mut read_bytes = RowBytes::with_capacity(bytes.saturating_add(packed_bytes).min(MOST_SPARE_BYTES));
-    let mut packed: Option<Vec<(Slot, Range<usize>)>> = None;
-    let mut ranges = Vec::with_capacity(slots.len());
-    let mut read = |slot, bytes, into: &mut RowBytes| {
-        let range = rows::read_chunk(connection, name(slot), bytes, &mut into.0)?;
-        cost.rows += 1;
-        cost.bytes += range.len() as u64;
-        Ok::<_, RowError>(range)
-    };
+    let mut packed = None;
+    let mut columns = Vec::with_capacity(slots.len());
     for &slot in slots {
-        ranges.push(if let Some(bytes) = own(slot) {
-            Some(read(slot, bytes, &mut read_bytes)?)
-        } else if is_packed(slot) {
-            let directory = match &packed {
-                Some(directory) => directory,
+        if let Ok(i) = facts.chunks.binary_search_by_key(&slot, |c| c.0) {
+            let bytes = rows::read_chunk(connection, name(slot), facts.chunks[i].1)?;
+            cost.rows += 1;
+            cost.bytes += bytes.len() as u64;
+            columns.push(Some(ChunkBytes { range: 0..bytes.len(), row: Arc::new(bytes) }));
+        } else if facts.packed.binary_search(&slot).is_ok() {
+            let (row, directory) = match &packed {
+                Some(packed) => packed,
                 None => {
-                    let row = read(SLOT_PACKED, facts.packed_bytes, &mut read_bytes)?;
-                    let unpacked = rows::unpack(&read_bytes.0[row.clone()]);
-                    let mut directory = unpacked.map_err(|what| name(SLOT_PACKED).damage(what))?;
+                    let row = rows::read_chunk(connection, name(SLOT_PACKED), facts.packed_bytes)?;
+                    cost.rows += 1;
+                    cost.bytes += row.len() as u64;
+                    let directory = rows::unpack(&row).map_err(|what| name(SLOT_PACKED).damage(what))?;
                     if !directory.iter().map(|d| &d.0).eq(&facts.packed) {
                         return Err(name(SLOT_PACKED).damage("the columns are not those of the node's row"));
                     }
-                    directory.iter_mut().for_each(|(_, r)| *r = r.start + row.start..r.end + row.start);
-                    packed.insert(directory)
+                    packed.insert((Arc::new(row), directory))
                 }
             };
-            directory.binary_search_by_key(&slot, |d| d.0).ok().map(|i| directory[i].1.clone())
+            let found = directory.binary_search_by_key(&slot, |d| d.0).ok();
+            columns.push(found.map(|i| ChunkBytes { row: row.clone(), range: directory[i].1.clone() }));
         } else {
-            None
-        });
+            columns.push(None);
+        }
     }
-    let all = Arc::new(read_bytes);
-    Ok(ranges.into_iter().map(|range| range.map(|range| ChunkBytes { rows: all.clone(), range })).collect())
+    Ok(columns)
 }
 
 impl Inner {

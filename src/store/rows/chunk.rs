@@ -81,14 +81,12 @@ pub(in crate::store) fn put_chunk(connection: &Connection, chunk: &ChunkRow) -> 
     )
 }
 
-/// Appends the bytes of the row that is named, which must be there, be whole, and be what its node's row says; gives
-/// where they are in `out`.
+/// The bytes of the row that is named, which must be there, be whole, and be what its node's row says.
 pub(in crate::store) fn read_chunk(
     connection: &Connection,
     name: RowName<'_>,
     expected_bytes: u32,
-    out: &mut Vec<u8>,
-) -> Result<Range<usize>, RowError> {
+) -> Result<Vec<u8>, RowError> {
     let head = name.head;
     let mut statement = connection
         .prepare_cached("SELECT id, layer, key, part, slot, points, codec, bytes, checksum FROM chunk WHERE id = ?")?;
@@ -112,9 +110,7 @@ pub(in crate::store) fn read_chunk(
     if name.slot != SLOT_PACKED && bytes.first().copied() != Some(columns.int(6)?) {
         return Err(name.damage("the codec is not the first byte"));
     }
-    let start = out.len();
-    out.extend_from_slice(bytes);
-    Ok(start..out.len())
+    Ok(bytes.to_vec())
 }
 
 /// The ranges of ids that wait to be removed, both ends inside, ascending.

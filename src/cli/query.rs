@@ -173,7 +173,7 @@ fn query(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Query> {
     let mut query = Query::new();
     if let Some(text) = &arguments.cuboid {
         let region = Region::parse_box(text)?;
-        let region = if arguments.closed { closed(region, snapshot)? } else { region };
+        let region = if arguments.closed { region.closed_on(&snapshot.site().lattice) } else { region };
         query = query.region(region);
     }
     if let Some(text) = &arguments.sphere {
@@ -213,21 +213,6 @@ pub(super) fn read_view(path: &Path) -> anyhow::Result<Camera> {
     serde_json::from_str(&text).with_context(|| format!("{}: is no view", path.display()))
 }
 
-/// The box with its maximum faces: one lattice step more, which is exact.
-fn closed(region: Region, snapshot: &Snapshot) -> anyhow::Result<Region> {
-    let Region::Box { min, max } = region else { return Ok(region) };
-    let lattice = &snapshot.site().lattice;
-    let last = (1 << crate::lattice::BITS) - 1;
-    let up = std::array::from_fn(|axis| match lattice.first_index_at_least(axis, max[axis]) {
-        // Only a point exactly on the face is new; the next step lies outside of it anyway.
-        Some(index) if index < last && lattice.world_on_axis(axis, index) <= max[axis] => {
-            lattice.world_on_axis(axis, index + 1)
-        }
-        _ => max[axis],
-    });
-    Ok(Region::new_box(min, up)?)
-}
-
 /// Says what a user may not expect: a region beside the site, points on the faces that a half-open box leaves out.
 fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::Result<()> {
     if answer.region_misses_site {
@@ -244,7 +229,13 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::
         return Ok(());
     }
     let Some(text) = &arguments.cuboid else { return Ok(()) };
-    let on_faces = on_maximum_faces(&Region::parse_box(text)?, snapshot)?;
+    let on_faces = match answer.on_maximum_faces {
+        Some(counted) => counted,
+        None => {
+            let everything = Query::new().region(Region::parse_box(text)?).count(snapshot)?;
+            everything.on_maximum_faces.unwrap_or(0)
+        }
+    };
     if on_faces > 0 {
         eprintln!(
             "esker: {} points lie on the box's maximum faces and are not taken; --closed takes them",
@@ -254,6 +245,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::
     Ok(())
 }
 
+<<<<<<< HEAD
 /// Points that a closed box has and the half-open one has not. Slabs of one lattice step: cheap.
 fn on_maximum_faces(region: &Region, snapshot: &Snapshot) -> anyhow::Result<u64> {
     let Region::Box { min, max } = *region else { return Ok(0) };
@@ -276,6 +268,8 @@ fn on_maximum_faces(region: &Region, snapshot: &Snapshot) -> anyhow::Result<u64>
     Ok(total)
 }
 
+=======
+>>>>>>> query
 fn summarise(query: &Query, snapshot: &Snapshot) -> anyhow::Result<(Answer, Vec<AttributeSummary>)> {
     let query = query.clone().with_scans(true);
     let mut summary = query.summary(snapshot)?;

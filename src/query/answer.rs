@@ -16,6 +16,9 @@ pub struct Answer {
     pub error_bound_px: Option<f64>,
     /// Does the region lie wholly outside the bounds of the store's points?
     pub region_misses_site: bool,
+    /// Matching points on the maximum faces of the query's box, which is half-open and does not have them; `None` where
+    /// they were not counted, which is done at full detail only.
+    pub on_maximum_faces: Option<u64>,
     /// What it cost.
     #[serde(flatten)]
     pub statistics: Statistics,
@@ -60,6 +63,7 @@ pub(crate) struct Meter {
     pub blocks: AtomicU64,
     pub bytes_read: AtomicU64,
     pub points_decoded: AtomicU64,
+    pub on_maximum_faces: AtomicU64,
     selecting_ns: AtomicU64,
     reading_ns: AtomicU64,
     decoding_ns: AtomicU64,

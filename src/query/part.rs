@@ -130,7 +130,7 @@ impl<'a> Part<'a> {
                 continue;
             }
             let len = block_range(block, self.points).len();
-            let placed = plan.region.classify(bounds);
+            let placed = plan.classify(bounds);
             let mut content =
                 Block { len, positions: Positions::default(), scans: BlockScans::One(0), columns: Vec::new() };
             let decode_positions = |decoder: &mut Decoder, out: &mut Positions| {
@@ -171,6 +171,9 @@ impl<'a> Part<'a> {
                     content.columns.push((*slot, column));
                 }
                 mask.and(&filter.matching(&content));
+            }
+            if !mask.is_none() && placed == Containment::Partly {
+                plan.leave_faces(&content.positions, &mut mask);
             }
             if mask.is_none() && !look.misses {
                 continue;

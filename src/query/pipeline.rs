@@ -3,17 +3,23 @@
 use super::QueryError;
 use super::answer::{Meter, Stage};
 use crate::points::Batch;
-use rayon::prelude::*;
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::sync_channel;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
-/// Points that a thread works on before the batches are handed on: some parts. Small, so that a small answer is written
-/// while the rest of it is still being read.
-const WINDOW_POINTS: u64 = 64 * 1024;
+/// What became of a task; an error of the outer kind is a panic, which is passed on.
+type Done = std::thread::Result<Result<Batch, QueryError>>;
 
-/// Runs `work` on all tasks and hands its batches to `sink`, in the order of the tasks; at most three windows of batches
-/// are in memory. Empty batches are left out. Returns the number of points delivered.
+/// Points per thread that are worked on or wait to be handed on: some parts. Few, so that batches are handed on while
+/// they are in the processor's cache and their memory is used again.
+const POINTS_IN_FLIGHT: u64 = 128 * 1024;
+
+/// Runs `work` on all tasks and hands its batches to `sink`, in the order of the tasks; a bounded number of batches is
+/// in memory. Empty batches are left out. Returns the number of points delivered.
+///
+/// The pool's threads never wait: a task is given to them only when there is room for its batch. So the sink may use the
+/// pool, too.
 ///
 /// # Errors
 ///
@@ -25,70 +31,63 @@ pub(crate) fn deliver<T: Sync>(
     meter: &Meter,
     sink: &mut dyn FnMut(Batch) -> ControlFlow<()>,
 ) -> Result<u64, QueryError> {
-    let windows = windows(tasks, points, WINDOW_POINTS * rayon::current_num_threads() as u64);
-    let mut delivered = 0;
-    let mut deliver_window = |batches: Vec<Result<Batch, QueryError>>| {
-        for batch in batches {
-            let batch = batch?;
+    let threads = rayon::current_num_threads();
+    let room = POINTS_IN_FLIGHT * threads as u64;
+    let work = &work;
+    rayon::in_place_scope_fifo(|scope| {
+        let (sender, receiver) = channel();
+        // Tasks from `next` on have not begun; `waiting` has the batches of those before, as they are done, from the
+        // first that is not delivered.
+        let (mut next, mut in_flight, mut delivered) = (0, 0, 0);
+        let mut waiting: VecDeque<Option<Done>> = VecDeque::new();
+        for (first, task) in tasks.iter().enumerate() {
+            // Beyond the room one for each thread, however large, so that none is idle.
+            while next < tasks.len() && (in_flight < room || next - first <= threads) {
+                in_flight += points(&tasks[next]);
+                waiting.push_back(None);
+                let (sender, task, index) = (sender.clone(), &tasks[next], next);
+                // If nobody listens any more the batch is not wanted.
+                scope.spawn_fifo(move |_| {
+                    let done = catch_unwind(AssertUnwindSafe(|| work(task)));
+                    let _ = sender.send((index, done));
+                });
+                next += 1;
+            }
+            let batch = loop {
+                if let Some(done) = waiting.front_mut().and_then(Option::take) {
+                    waiting.pop_front();
+                    break done.unwrap_or_else(|panic| resume_unwind(panic))?;
+                }
+                let Some((index, done)) = receive(&receiver) else { return Ok(delivered) };
+                if let Some(place) = waiting.get_mut(index - first) {
+                    *place = Some(done);
+                }
+            };
+            in_flight -= points(task);
             if batch.is_empty() {
                 continue;
             }
             delivered += batch.len() as u64;
             if meter.time(Stage::Delivering, || sink(batch)).is_break() {
-                return Ok(ControlFlow::Break(()));
+                break;
             }
         }
-        Ok::<_, QueryError>(ControlFlow::Continue(()))
-    };
-    let run = |window: &[T]| -> Vec<Result<Batch, QueryError>> { window.par_iter().map(&work).collect() };
-    match windows.as_slice() {
-        [] => {}
-        [one] => {
-            let _done_or_enough = deliver_window(run(one))?;
-        }
-        many => {
-            let stop = AtomicBool::new(false);
-            let (sender, receiver) = sync_channel(1);
-            std::thread::scope(|scope| {
-                let (stop, run) = (&stop, &run);
-                scope.spawn(move || {
-                    for window in many {
-                        if stop.load(Ordering::Relaxed) || sender.send(run(window)).is_err() {
-                            break;
-                        }
-                    }
-                });
-                for batches in receiver {
-                    match deliver_window(batches) {
-                        Ok(ControlFlow::Continue(())) => {}
-                        end => {
-                            stop.store(true, Ordering::Relaxed);
-                            return end.map(|_| ());
-                        }
-                    }
-                }
-                Ok(())
-            })?;
-        }
-    }
-    Ok(delivered)
+        Ok(delivered)
+    })
 }
 
-/// Cuts tasks into runs of about so many points.
-fn windows<T>(tasks: &[T], points: impl Fn(&T) -> u64, most: u64) -> Vec<&[T]> {
-    let mut windows = Vec::new();
-    let (mut start, mut sum) = (0, 0_u64);
-    for (i, task) in tasks.iter().enumerate() {
-        sum = sum.saturating_add(points(task));
-        if sum >= most {
-            windows.push(&tasks[start..=i]);
-            (start, sum) = (i + 1, 0);
+/// The next message. A thread of the pool works on meanwhile: all of them may be waiting here.
+fn receive<T>(receiver: &Receiver<T>) -> Option<T> {
+    if rayon::current_thread_index().is_none() {
+        return receiver.recv().ok();
+    }
+    loop {
+        match receiver.try_recv() {
+            Ok(message) => return Some(message),
+            Err(TryRecvError::Disconnected) => return None,
+            Err(TryRecvError::Empty) => drop(rayon::yield_now()),
         }
     }
-    if start < tasks.len() {
-        windows.push(&tasks[start..]);
-    }
-    windows
 }
 
 #[cfg(test)]

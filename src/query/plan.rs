@@ -2,12 +2,13 @@
 
 use super::answer::Meter;
 use super::filter::{BoundFilter, Known, Names, attributes_named};
+use super::mask::Mask;
 use super::region::LatticeRegion;
-use super::{Attributes, Query, QueryError, error::nearest};
+use super::{Attributes, Query, QueryError, Region, error::nearest};
 use crate::geometry::Containment;
-use crate::lattice::{BITS, Cube, Lattice};
+use crate::lattice::{BITS, Cube, Lattice, LatticeBox};
 use crate::octree::Metric;
-use crate::points::{Attribute, ScalarType};
+use crate::points::{Attribute, Positions, ScalarType};
 use crate::store::model::{ScanId, Slot, StoredAttribute};
 use crate::store::{NodeIndex, NodeIx, Snapshot};
 use std::sync::Arc;
@@ -19,6 +20,8 @@ pub(crate) struct Plan {
     pub lattice: Lattice,
     pub g: u8,
     pub region: LatticeRegion,
+    /// The half-open box, where `region` is the closed one: the points between them are counted, not taken.
+    pub taken: Option<LatticeRegion>,
     pub filter: Option<BoundFilter>,
     /// What the filter looks at.
     pub filter_columns: Vec<(Slot, ScalarType)>,
@@ -69,6 +72,7 @@ impl Plan {
             lattice: site.lattice.clone(),
             g: site.g,
             region: query.region.on_lattice(&site.lattice),
+            taken: None,
             filter,
             filter_columns,
             scans,
@@ -87,6 +91,29 @@ impl Plan {
     /// The largest root of all layers.
     pub fn root(&self) -> Option<Cube> {
         self.index.roots().map(|r| self.index.head(r).cube).max_by_key(|c| c.k())
+    }
+
+    /// Looks at the points on a box's maximum faces, too, to count them.
+    pub fn count_faces(&mut self, asked: &Region) {
+        let closed = asked.closed_on(&self.lattice).on_lattice(&self.lattice);
+        self.taken = Some(std::mem::replace(&mut self.region, closed));
+    }
+
+    /// How all the lattice points of `bounds` lie to what is taken; where it is `Outside`, none of them is on a face
+    /// that is counted either.
+    pub fn classify(&self, bounds: &LatticeBox) -> Containment {
+        match (self.region.classify(bounds), &self.taken) {
+            (Containment::Inside, Some(taken)) if taken.classify(bounds) != Containment::Inside => Containment::Partly,
+            (placed, _) => placed,
+        }
+    }
+
+    /// Removes the points on the maximum faces, and counts them; `positions` are those of the block.
+    pub fn leave_faces(&self, positions: &Positions, mask: &mut Mask) {
+        let Some(taken) = &self.taken else { return };
+        let before = mask.count();
+        mask.and(&taken.test(positions));
+        Meter::add(&self.meter.on_maximum_faces, (before - mask.count()) as u64);
     }
 
     /// Does every point match that lies inside the region?
@@ -109,7 +136,7 @@ impl Plan {
             },
             Scope::Subtree => &head.subtree_bounds,
         };
-        let placed = self.region.classify(bounds);
+        let placed = self.classify(bounds);
         if placed == Containment::Outside {
             return Ok(Prospect::Nothing);
         }
@@ -174,7 +201,8 @@ impl Plan {
 
     /// Does the region lie outside everything that is stored?
     pub fn region_misses_site(&self) -> bool {
-        let outside = |r| self.region.classify(&self.index.head(r).subtree_bounds) == Containment::Outside;
+        let region = self.taken.as_ref().unwrap_or(&self.region);
+        let outside = |r| region.classify(&self.index.head(r).subtree_bounds) == Containment::Outside;
         !self.index.is_empty() && self.index.roots().all(outside)
     }
 }

@@ -96,6 +96,21 @@ impl Region {
         }
     }
 
+    /// The same with its maximum faces: a box that is one lattice step larger where points can lie exactly on the face.
+    #[must_use]
+    pub fn closed_on(&self, lattice: &Lattice) -> Self {
+        let Self::Box { min, max } = *self else { return self.clone() };
+        let last = (1 << BITS) - 1;
+        let max = std::array::from_fn(|axis| match lattice.first_index_at_least(axis, max[axis]) {
+            // Only a point exactly on the face is new; the next step lies outside of it anyway.
+            Some(index) if index < last && lattice.world_on_axis(axis, index) <= max[axis] => {
+                lattice.world_on_axis(axis, index + 1)
+            }
+            _ => max[axis],
+        });
+        Self::Box { min, max }
+    }
+
     /// The region on a lattice.
     pub fn on_lattice(&self, lattice: &Lattice) -> LatticeRegion {
         let kind = match *self {

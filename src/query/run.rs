@@ -7,7 +7,7 @@ use super::part::{Found, Look, Part};
 use super::pipeline::deliver;
 use super::plan::{Plan, Prospect, Scope};
 use super::view::{ViewCut, select_view};
-use super::{Detail, Query, QueryError, Summary};
+use super::{Detail, Query, QueryError, Region, Summary};
 use crate::geometry::{Camera, Containment};
 use crate::lattice::LatticeBox;
 use crate::octree::even_order;
@@ -15,6 +15,7 @@ use crate::points::Batch;
 use crate::store::{NodeIx, Snapshot};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 /// Where points go; `None`: they are only counted.
@@ -100,7 +101,7 @@ impl Query {
 
     fn execute(&self, snapshot: &Snapshot, sink: Sink) -> Result<Answer, QueryError> {
         let start = Instant::now();
-        let plan = Plan::new(self, snapshot)?;
+        let mut plan = Plan::new(self, snapshot)?;
         let root = plan.root();
         let cell = self.detail.cell(root, plan.g, plan.lattice.quantum_f64())?;
         let mut answer = match (&self.view, cell, self.capacity) {
@@ -116,7 +117,7 @@ impl Query {
                 }
                 run_view(&plan, camera, *max_error_px, self.capacity, sink)?
             }
-            (None, None, None) => run_everything(&plan, sink)?,
+            (None, None, None) => run_everything(&mut plan, &self.region, sink)?,
             (None, Some(cell), None) => {
                 let chosen = plan.meter.time(Stage::Selecting, || capacity::level(&plan, cell))?;
                 run_chosen(&plan, chosen, sink)?
@@ -124,7 +125,7 @@ impl Query {
             (None, cell, Some(capacity)) => {
                 let enough = cell.is_none() && plan.most_points()?.all <= capacity;
                 if enough {
-                    run_everything(&plan, sink)?
+                    run_everything(&mut plan, &self.region, sink)?
                 } else {
                     let chosen = plan.meter.time(Stage::Selecting, || capacity::limited(&plan, cell, capacity))?;
                     run_chosen(&plan, chosen, sink)?
@@ -146,7 +147,12 @@ fn outside(plan: &Plan) -> impl Fn(&LatticeBox) -> bool + '_ {
 }
 
 /// Every matching point.
-fn run_everything(plan: &Plan, sink: Sink) -> Result<Answer, QueryError> {
+fn run_everything(plan: &mut Plan, region: &Region, sink: Sink) -> Result<Answer, QueryError> {
+    let has_faces = matches!(region, Region::Box { .. });
+    if has_faces {
+        plan.count_faces(region);
+    }
+    let plan = &*plan;
     let mut tasks = Vec::new();
     let mut known = 0;
     let counting = sink.is_none();
@@ -179,7 +185,8 @@ fn run_everything(plan: &Plan, sink: Sink) -> Result<Answer, QueryError> {
             deliver(&tasks, points, work, &plan.meter, sink)?
         }
     };
-    Ok(answer(points, Some(0.0)))
+    let on_maximum_faces = has_faces.then(|| plan.meter.on_maximum_faces.load(Ordering::Relaxed));
+    Ok(Answer { on_maximum_faces, ..answer(points, Some(0.0)) })
 }
 
 /// The matching points of these parts.

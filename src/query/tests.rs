@@ -155,6 +155,12 @@ proptest! {
             prop_assert_eq!(answer.error_bound, Some(0.0));
             let count = asked.query(&test).count(&test.snapshot).unwrap();
             prop_assert_eq!(count.points, expected.len() as u64);
+            // What is on the maximum faces is told by both, and is what the closed box has more.
+            prop_assert_eq!(answer.on_maximum_faces, count.on_maximum_faces);
+            let region = moved(&asked.region, &test);
+            let closed = asked.query(&test).region(region.closed_on(&test.lattice)).count(&test.snapshot).unwrap();
+            let on_faces = matches!(region, Region::Box { .. }).then_some(closed.points - count.points);
+            prop_assert_eq!(count.on_maximum_faces, on_faces);
             // Again, in the same order.
             prop_assert_eq!(collect(asked.query(&test), &test).0, found);
         }

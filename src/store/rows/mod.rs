@@ -72,20 +72,20 @@ pub(super) fn put_row(connection: &Connection, table: &str, sql: &str, values: &
     Ok(())
 }
 
-/// The columns of a row whose checksum is right; the checksum is the last of `columns` columns.
+/// The columns of a row whose checksum is right; the checksum is the last of `columns` columns. `key` names the row in
+/// messages, and is asked only for those.
 pub(super) fn checked<'r>(
     table: &'static str,
     row: &'r Row<'_>,
     columns: usize,
-    key: impl Fn() -> String,
-) -> Result<Columns<'r>, RowError> {
+    key: impl Fn() -> String + 'r,
+) -> Result<Columns<'r, impl Fn() -> String + 'r>, RowError> {
     let mut values = [ValueRef::Null; 24];
     for (i, value) in values.iter_mut().enumerate().take(columns) {
         *value = row.get_ref(i)?;
     }
-    let (found, values) = (values[columns - 1], Columns { table, key: String::new(), values });
-    let expected = Checksum::of_row(table, values.values[..columns - 1].iter().copied());
-    let found = match found {
+    let expected = Checksum::of_row(table, values[..columns - 1].iter().copied());
+    let found = match values[columns - 1] {
         ValueRef::Integer(v) => Checksum::from_sql(v),
         _ => return Err(RowError::damage(table, key(), "the checksum is not a number")),
     };
@@ -93,20 +93,20 @@ pub(super) fn checked<'r>(
         let what = format!("checksum is {found}, but the row's content gives {expected}");
         return Err(RowError::damage(table, key(), what));
     }
-    Ok(Columns { key: key(), ..values })
+    Ok(Columns { table, key, values })
 }
 
 /// The values of a checked row.
-pub(super) struct Columns<'r> {
+pub(super) struct Columns<'r, K> {
     table: &'static str,
-    key: String,
+    key: K,
     values: [ValueRef<'r>; 24],
 }
 
-impl<'r> Columns<'r> {
+impl<'r, K: Fn() -> String> Columns<'r, K> {
     /// The row is not as it should be, although its checksum is right.
     pub fn wrong(&self, what: impl Into<String>) -> RowError {
-        RowError::damage(self.table, self.key.clone(), what)
+        RowError::damage(self.table, (self.key)(), what)
     }
 
     fn kind(&self, i: usize) -> RowError {

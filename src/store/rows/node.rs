@@ -27,7 +27,7 @@ pub(in crate::store) fn name_of(head: &NodeHead) -> String {
 }
 
 /// Layer and cube of a row whose first two columns are they.
-pub(super) fn layer_and_cube(columns: &Columns<'_>) -> Result<(u16, Cube), RowError> {
+pub(super) fn layer_and_cube<K: Fn() -> String>(columns: &Columns<'_, K>) -> Result<(u16, Cube), RowError> {
     let cube = NodeKey::from_bytes(columns.blob(1)?)
         .and_then(|k| Cube::from_node_key(&k))
         .ok_or_else(|| columns.wrong("the key is none of an aligned cube"))?;

@@ -25,7 +25,7 @@ pub(in crate::store) fn load_scans(connection: &Connection) -> Result<Vec<Scan>,
     Ok(scans)
 }
 
-fn decode(columns: &Columns<'_>) -> Result<Scan, RowError> {
+fn decode<K: Fn() -> String>(columns: &Columns<'_, K>) -> Result<Scan, RowError> {
     let pose = columns.take(6, |t| {
         let mut pose = [0.0; 16];
         for v in &mut pose {
@@ -71,7 +71,7 @@ fn decode(columns: &Columns<'_>) -> Result<Scan, RowError> {
 }
 
 /// The facts are JSON; the bytes of the variable length records, which would be bulky there, are a column of their own.
-fn las_facts(columns: &Columns<'_>) -> Result<Option<LasFacts>, RowError> {
+fn las_facts<K: Fn() -> String>(columns: &Columns<'_, K>) -> Result<Option<LasFacts>, RowError> {
     let Some(mut las) = columns.json::<LasFacts>(16)? else {
         return if columns.is_null(17) { Ok(None) } else { Err(columns.wrong("records without a LAS header")) };
     };

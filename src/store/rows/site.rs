@@ -63,6 +63,7 @@ pub(in crate::store) fn load_site(connection: &Connection) -> Result<SiteRow, Ro
         scans: columns.int(12)?,
         attributes: columns.int(13)?,
     };
+    drop(columns);
     match rows.next()? {
         None => Ok(row),
         Some(_) => Err(RowError::damage(TABLE, "the one row", "there are two")),
@@ -128,7 +129,7 @@ fn decimal_words(decimals: [Decimal; 3]) -> String {
     decimals.map(|d| format!("{}e{}", d.mantissa(), d.exponent())).join(" ")
 }
 
-fn decimals(columns: &Columns<'_>, i: usize) -> Result<[Decimal; 3], RowError> {
+fn decimals<K: Fn() -> String>(columns: &Columns<'_, K>, i: usize) -> Result<[Decimal; 3], RowError> {
     let text = columns.text(i)?;
     let parse = |word: &str| {
         let (mantissa, exponent) = word.split_once('e')?;

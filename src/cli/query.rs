@@ -245,31 +245,6 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::
     Ok(())
 }
 
-<<<<<<< HEAD
-/// Points that a closed box has and the half-open one has not. Slabs of one lattice step: cheap.
-fn on_maximum_faces(region: &Region, snapshot: &Snapshot) -> anyhow::Result<u64> {
-    let Region::Box { min, max } = *region else { return Ok(0) };
-    let Region::Box { max: up, .. } = closed(region.clone(), snapshot)? else { return Ok(0) };
-    let mut total = 0;
-    for axis in 0..3 {
-        if up[axis] == max[axis] || max[axis].is_infinite() {
-            continue;
-        }
-        // The face of this axis, closed on the axes before it so that edges count once.
-        let (mut low, mut high) = (min, max);
-        high[..axis].copy_from_slice(&up[..axis]);
-        low[axis] = max[axis];
-        high[axis] = up[axis];
-        high[axis + 1..].copy_from_slice(&max[axis + 1..]);
-        if (0..3).all(|i| low[i] < high[i]) {
-            total += Query::new().region(Region::new_box(low, high)?).count(snapshot)?.points;
-        }
-    }
-    Ok(total)
-}
-
-=======
->>>>>>> query
 fn summarise(query: &Query, snapshot: &Snapshot) -> anyhow::Result<(Answer, Vec<AttributeSummary>)> {
     let query = query.clone().with_scans(true);
     let mut summary = query.summary(snapshot)?;

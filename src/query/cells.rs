@@ -125,9 +125,12 @@ fn read_above(plan: &Plan, node: NodeIx, c: u8) -> Result<Above, QueryError> {
     let head = plan.index.head(node);
     let mut result = Above::default();
     let complete = plan.takes_all_of(head.cube);
+    // The first point of a tree has its root's exponent for a win, and is the least of any larger cell, too.
+    let root = plan.index.root(head.layer).map_or(c, |root| plan.index.head(root).cube.k());
+    let winning = c.min(root) as i8;
     for (part, facts) in head.parts.iter().enumerate() {
         // Where everything matches, a point that wins no such cell is the least of none.
-        if complete && facts.first_step.win < c as i8 {
+        if complete && facts.first_step.win < winning {
             continue;
         }
         read_part(plan, node, part, Some((c, !complete && !head.leaf)), &mut result.picks, &mut result.missed)?;

@@ -19,6 +19,13 @@ pub struct Point {
     pub scan: u32,
 }
 
+/// The canonical record bytes: GpsTime, which scan 2 lacks, before Intensity.
+fn record(p: &Point) -> Vec<u8> {
+    let time = p.time.to_le_bytes();
+    let time: &[u8] = if p.scan == 2 { &[] } else { &time };
+    [time, &p.intensity.to_le_bytes()].concat()
+}
+
 pub const PARAMS: Params = Params { g: 2, leaf_capacity: 40 };
 
 pub fn options() -> SiteOptions {
@@ -87,7 +94,8 @@ fn scan(id: u32, slots: &[Slot], points: &[Point]) -> Scan {
 pub fn prepare(writer: &mut Writer, mut points: Vec<Point>, before: &[Scan]) -> Flip {
     let slots = writer.add_attributes(&attributes()).unwrap();
     while writer.reserve_scan() < 2 {}
-    points.sort();
+    // Ties between keys are settled by record bytes, then by the scan's identity, which is its number here.
+    points.sort_by_cached_key(|p| (p.key, record(p), p.scan));
     let mut table = ScanTable::new(writer.attributes());
     // In canonical order: GpsTime before Intensity.
     let scans = [scan(1, &[slots[1], slots[0]], &points), scan(2, &[slots[0]], &points)];

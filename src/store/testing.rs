@@ -69,7 +69,7 @@ fn scan(id: u32, slots: &[Slot], points: &[Point]) -> Scan {
     Scan {
         id,
         name: format!("scan {id}"),
-        source: format!("/tmp/{id}.las"),
+        source: format!("scans/{id}.las"),
         source_bytes: 1000,
         identity: [id as u8; 32],
         time: 1_700_000_000,

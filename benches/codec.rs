@@ -200,6 +200,9 @@ fn report(
                 match column.checked_sub(1) {
                     None if part.cube.k() <= LOW_DIGITS => encoder.positions(part.cube, &part.low, &mut chunk)?,
                     None => encoder.positions(part.cube, &part.keys, &mut chunk)?,
+                    Some(a) if part.cube.k() <= LOW_DIGITS => {
+                        encoder.column_at(&part.columns[a], part.cube, &part.low, &mut chunk)?;
+                    }
                     Some(a) => encoder.column(&part.columns[a], &mut chunk)?,
                 }
                 if chunks.len() < parts.len() {
@@ -211,10 +214,13 @@ fn report(
             // One buffer for all, as a query has it.
             let mut positions = Positions::default();
             let mut values = column.checked_sub(1).map(|a| Column::zeros(attributes[a].ty, 0));
-            for (part, chunk) in (0..repeats).flat_map(|_| parts.iter().zip(&chunks)) {
+            for i in (0..repeats).flat_map(|_| 0..parts.len()) {
+                let (part, chunk) = (&parts[i], &chunks[i]);
                 if let Some(values) = &mut values {
                     values.resize(0);
-                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?.decode(&mut decoder, values)?;
+                    let positions = &rows.get(&0).ok_or("positions come first")?.0[i];
+                    let positions = PositionChunk::parse(positions, part.cube, part.keys.len())?;
+                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?.at(&positions).decode(&mut decoder, values)?;
                 } else {
                     [&mut positions.x, &mut positions.y, &mut positions.z].into_iter().for_each(Vec::clear);
                     PositionChunk::parse(chunk, part.cube, part.keys.len())?.decode(&mut decoder, &mut positions)?;

@@ -4,6 +4,7 @@
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
 use super::dictionary;
+use super::lines::{self, Place};
 use super::numbers::{self, Numbers};
 use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
@@ -26,14 +27,20 @@ enum Kind {
     Numbers,
     /// `least`, `step`; all different `n` in order, and which of them each point has.
     Ranked,
+    /// `least`, `step`; how far the `n` are off what the points' positions let expect.
+    Lines,
 }
 
 impl Kind {
-    const ALL: [Self; 5] = [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked];
+    const ALL: [Self; 6] =
+        [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked, Self::Lines];
 }
 
 /// Below so many bits a value, ranks of values beyond 16 bits are not tried: sorting costs more time than all else.
 const SORTED_ABOVE_BITS: f32 = 10.0;
+
+/// Lines that take so many bits a value or less are taken without trying ranks.
+const GOOD_LINES_BITS: usize = 12;
 
 /// Distances of which the step is guessed.
 const STEP_SAMPLE: usize = 64;
@@ -107,12 +114,13 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
-/// Appends the block of `values`, of which there is at least one.
+/// Appends the block of `values`, of which there is at least one; `places` gives where their points are, or nothing.
 pub(super) fn put_block<T: Value>(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
     ty: ScalarType,
     block: &[T],
+    places: &dyn Fn(&mut Vec<Place>),
     out: &mut Vec<u8>,
 ) {
     let width = ty.size();
@@ -146,7 +154,7 @@ pub(super) fn put_block<T: Value>(
         let numbers = &mut buffers.values;
         numbers.clear();
         numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least)));
-        put_wide(streams, buffers, most, head, out);
+        put_wide(streams, buffers, most, places, head, out);
     }
     if out.len() - start > 1 + width * block.len() {
         out.truncate(start);
@@ -179,6 +187,7 @@ fn put_wide(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
     most: u64,
+    places: &dyn Fn(&mut Vec<Place>),
     head: impl Fn(Kind, &mut Vec<u8>),
     out: &mut Vec<u8>,
 ) {
@@ -191,19 +200,38 @@ fn put_wide(
     let choice = numbers::choose(values.len(), most, |i| values[i]);
     // Wide values that take many bits may be few different ones, or as jumbled as times are.
     let rankable = most <= u64::from(u16::MAX) || choice.cost_bits > SORTED_ABOVE_BITS * values.len() as f32;
+    let start = out.len();
+    let mut limit_bits = choice.cost_bits;
+    let mut lines = 0;
+    if rankable && most > u64::from(u16::MAX) && ranked::is_sortable(most) {
+        buffers.rank.sort(&buffers.values, most);
+        places(&mut buffers.places);
+        if lines::try_put(streams, buffers, |out| head(Kind::Lines, out), out) {
+            lines = out.len() - start;
+            limit_bits = limit_bits.min(8.0 * lines as f32);
+            if 8 * lines <= GOOD_LINES_BITS * buffers.values.len() {
+                return;
+            }
+        }
+    }
     let ranked_head = |out: &mut Vec<u8>| head(Kind::Ranked, out);
-    if !rankable || !ranked::try_put(streams, buffers, most, choice.cost_bits, ranked_head, out) {
+    if rankable && ranked::try_put(streams, buffers, most, limit_bits, ranked_head, out) {
+        out.drain(start..start + lines);
+    } else if lines == 0 || choice.cost_bits < 8.0 * lines as f32 {
+        out.truncate(start);
         head(Kind::Numbers, out);
         numbers::put(streams, &buffers.values, &mut buffers.packed, choice, out);
     }
 }
 
-/// Appends the `count` values of a block to `out`, or nothing if there is an error.
+/// Appends the `count` values of a block to `out`, or nothing if there is an error. `places` decodes where their points
+/// are into `decoder.places`.
 pub(super) fn read_block<T: Value>(
     decoder: &mut Decoder,
     ty: ScalarType,
     bytes: &[u8],
     count: usize,
+    places: &dyn Fn(&mut Decoder) -> Result<(), CodecError>,
     out: &mut Vec<T>,
 ) -> Result<(), CodecError> {
     const KIND: &str = "kind of a block";
@@ -211,7 +239,7 @@ pub(super) fn read_block<T: Value>(
     let mut reader = Reader::new(bytes);
     let code = reader.u8(KIND)?;
     let kind = Kind::ALL.into_iter().find(|k| *k as u8 == code);
-    let limit = Kind::Ranked as u64;
+    let limit = Kind::Lines as u64;
     let kind = kind.ok_or(CodecError::Range { place: KIND, found: u64::from(code), limit })?;
     match kind {
         Kind::Constant => {
@@ -243,10 +271,18 @@ pub(super) fn read_block<T: Value>(
         }
         return Ok(());
     }
-    if kind == Kind::Dictionary {
-        dictionary::read(&mut decoder.streams, reader, &mut decoder.bytes, count, &mut decoder.values)?;
-    } else {
-        ranked::read(decoder, reader, count)?;
+    match kind {
+        Kind::Dictionary => {
+            dictionary::read(&mut decoder.streams, reader, &mut decoder.bytes, count, &mut decoder.values)?;
+        }
+        Kind::Ranked => ranked::read(decoder, reader, count)?,
+        _ => {
+            places(decoder)?;
+            if decoder.places.len() != count {
+                return Err(CodecError::Count { expected: count, found: decoder.places.len() as u64 });
+            }
+            lines::read(decoder, reader)?;
+        }
     }
     let found = decoder.values.iter().copied().max().unwrap_or(0);
     if found > limit {

@@ -1,10 +1,13 @@
 //! Chunks of attributes.
 
 use super::block::{put_block, read_block};
+use super::lines::Place;
+use super::morton;
 use super::directory::{Directory, put_head, read_head};
 use super::reader::{Reader, put_uint};
 use super::value::Value;
-use super::{BLOCK_POINTS, CodecError, Decoder, Encoder, block_count, block_range};
+use super::{BLOCK_POINTS, CodecError, Decoder, Encoder, PositionChunk, block_count, block_range};
+use crate::lattice::{Cube, LOW_DIGITS, SortKey};
 use crate::points::{Column, ScalarType};
 use crate::with_column;
 
@@ -41,18 +44,49 @@ fn is_constant<T: Value>(values: &[T]) -> bool {
 }
 
 impl Encoder {
-    /// Appends the chunk of a column's values.
+    /// Appends the chunk of a column's values, which decode without positions.
     ///
     /// # Errors
     ///
     /// [`CodecError::TooManyPoints`]; `out` is then as it was.
     pub fn column(&mut self, column: &Column, out: &mut Vec<u8>) -> Result<(), CodecError> {
         put_head(CODEC, column.len(), out)?;
-        with_column!(column, values => self.put_values(column.ty(), values, out));
+        with_column!(column, values => self.put_values(column.ty(), values, &|_, places| places.clear(), out));
         Ok(())
     }
 
-    fn put_values<T: Value>(&mut self, ty: ScalarType, values: &[T], out: &mut Vec<u8>) {
+    /// The same for values of points with these keys of `cube`, one for each: what follows from positions takes less.
+    ///
+    /// # Errors
+    ///
+    /// [`CodecError::TooManyPoints`]; `out` is then as it was.
+    pub fn column_at<K: SortKey>(
+        &mut self,
+        column: &Column,
+        cube: Cube,
+        keys: &[K],
+        out: &mut Vec<u8>,
+    ) -> Result<(), CodecError> {
+        if cube.k() > LOW_DIGITS || keys.len() != column.len() {
+            return self.column(column, out);
+        }
+        put_head(CODEC, column.len(), out)?;
+        let prefix = cube.first_key().low;
+        let places = |block: usize, places: &mut Vec<Place>| {
+            let keys = keys[block_range(block, keys.len())].iter();
+            morton::places(cube, keys.map(|key| key.halves().1 ^ prefix), places);
+        };
+        with_column!(column, values => self.put_values(column.ty(), values, &places, out));
+        Ok(())
+    }
+
+    fn put_values<T: Value>(
+        &mut self,
+        ty: ScalarType,
+        values: &[T],
+        places: &dyn Fn(usize, &mut Vec<Place>),
+        out: &mut Vec<u8>,
+    ) {
         if let Some(first) = values.first()
             && is_constant(values)
         {
@@ -63,8 +97,9 @@ impl Encoder {
         out.push(type_code(ty));
         self.blocks.clear();
         self.ends.clear();
-        for block in values.chunks(BLOCK_POINTS) {
-            put_block(&mut self.streams, &mut self.buffers, ty, block, &mut self.blocks);
+        for (block, values) in values.chunks(BLOCK_POINTS).enumerate() {
+            let places = |out: &mut Vec<Place>| places(block, out);
+            put_block(&mut self.streams, &mut self.buffers, ty, values, &places, &mut self.blocks);
             self.ends.push(self.blocks.len());
         }
         self.put_blocks(out);
@@ -77,6 +112,7 @@ pub struct ColumnChunk<'a> {
     ty: ScalarType,
     count: usize,
     content: Content<'a>,
+    positions: Option<&'a PositionChunk<'a>>,
 }
 
 #[derive(Clone, Debug)]
@@ -108,7 +144,13 @@ impl<'a> ColumnChunk<'a> {
             reader.end("bytes after a constant value")?;
             Content::Constant(bits)
         };
-        Ok(Self { ty, count, content })
+        Ok(Self { ty, count, content, positions: None })
+    }
+
+    /// Says where the positions of the same points are, which some blocks need.
+    #[must_use]
+    pub fn at(self, positions: &'a PositionChunk<'a>) -> Self {
+        Self { positions: Some(positions), ..self }
     }
 
     /// The number of values.
@@ -133,8 +175,8 @@ impl<'a> ColumnChunk<'a> {
     ///
     /// # Errors
     ///
-    /// [`CodecError`] if there is no such block, its bytes are not one, or `out` has another type; `out` is then as it
-    /// was.
+    /// [`CodecError`] if there is no such block, its bytes are not one, or `out` has another type;
+    /// [`CodecError::NoPositions`] if the block needs them. `out` is then as it was.
     pub fn decode_block(&self, decoder: &mut Decoder, block: usize, out: &mut Column) -> Result<(), CodecError> {
         if out.ty() != self.ty {
             return Err(CodecError::Type { expected: self.ty.word(), found: out.ty().word() });
@@ -150,7 +192,10 @@ impl<'a> ColumnChunk<'a> {
             }
             Content::Blocks(directory) => {
                 let bytes = directory.block(block)?;
-                with_column!(out, values => read_block(decoder, self.ty, bytes, count, values))
+                let places = |decoder: &mut Decoder| {
+                    self.positions.ok_or(CodecError::NoPositions)?.places(decoder, block)
+                };
+                with_column!(out, values => read_block(decoder, self.ty, bytes, count, &places, values))
             }
         }
     }

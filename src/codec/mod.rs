@@ -18,6 +18,7 @@ mod column;
 mod dictionary;
 mod directory;
 mod error;
+mod lines;
 mod morton;
 mod numbers;
 mod position;

@@ -1,5 +1,6 @@
 //! Many keys of one cube back to coordinates at once.
 
+use super::lines::Place;
 use crate::lattice::{Cube, LatticeBox, LatticePoint, PRIORITY_MASK};
 use crate::points::Positions;
 
@@ -13,6 +14,19 @@ pub(super) fn append_points(cube: Cube, keys: &[u64], out: &mut Positions) {
         // The reflection's bits above the cube are the corner's business.
         let fixed = cube.low().0[axis] ^ (PRIORITY_MASK & inside);
         column.extend(keys.iter().map(|key| (compact(key >> axis) & inside) ^ fixed));
+    }
+}
+
+/// Where the points of a cube of exponent at most 21 with these keys are, relative to its low corner; replaces what `out`
+/// holds.
+pub(super) fn places(cube: Cube, keys: impl ExactSizeIterator<Item = u64> + Clone, out: &mut Vec<Place>) {
+    let inside = cube.side() - 1;
+    out.clear();
+    out.resize(keys.len(), Place::default());
+    for axis in 0..3 {
+        for (place, key) in out.iter_mut().zip(keys.clone()) {
+            place[axis] = ((compact(key >> axis) ^ PRIORITY_MASK) & inside) as i32;
+        }
     }
 }
 
@@ -75,6 +89,11 @@ mod tests {
             append_points(cube, &keys, &mut positions);
             let naive: Vec<_> = keys.iter().map(|key| cube.point_of_low_key(prefix | key & inside)).collect();
             prop_assert_eq!(positions.iter().collect::<Vec<_>>(), &naive[..]);
+            let mut places = Vec::new();
+            super::places(cube, keys.iter().copied(), &mut places);
+            for (place, point) in places.iter().zip(&naive) {
+                prop_assert_eq!(place.map(|c| c as u64), std::array::from_fn(|i| point.0[i] - cube.low().0[i]));
+            }
             if let Some(first) = naive.first() {
                 let naive = naive.iter().fold(LatticeBox::of(*first), |b, p| b.with(*p));
                 let keys: Vec<_> = keys.iter().map(|key| key & inside).collect();

@@ -217,6 +217,18 @@ impl<'a> PositionChunk<'a> {
         (0..self.directory.len()).try_for_each(|block| self.decode_block_keys(decoder, block, out))
     }
 
+    /// Decodes where the points of one block are into `decoder.places`.
+    pub(super) fn places(&self, decoder: &mut Decoder, block: usize) -> Result<(), CodecError> {
+        let (bytes, count) = self.block(block)?;
+        let (found, limit) = (u64::from(self.cube.k()), u64::from(LOW_DIGITS));
+        if found > limit {
+            return Err(CodecError::Range { place: "side of a cube with lines", found, limit });
+        }
+        self.read_narrow(decoder, bytes, count)?;
+        morton::places(self.cube, decoder.values.iter().copied(), &mut decoder.places);
+        Ok(())
+    }
+
     fn block(&self, block: usize) -> Result<(&'a [u8], usize), CodecError> {
         Ok((self.directory.block(block)?, block_range(block, self.count).len()))
     }

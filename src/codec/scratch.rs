@@ -1,5 +1,6 @@
 //! What encoding and decoding keep from one chunk to the next: zstd's contexts and buffers of a block's size.
 
+use super::lines::{LineBuffers, LineScratch, Place};
 use super::ranked::RankBuffers;
 use super::stream::{StreamReader, StreamWriter};
 
@@ -25,6 +26,10 @@ pub(super) struct Buffers {
     pub(super) bytes: Vec<u8>,
     /// For ranks.
     pub(super) rank: RankBuffers,
+    /// Where the points are, if that was asked for and is known.
+    pub(super) places: Vec<Place>,
+    /// For lines.
+    pub(super) lines: LineBuffers,
     /// Symbols.
     pub(super) packed: Vec<u8>,
 }
@@ -41,6 +46,10 @@ pub struct Decoder {
     pub(super) values: Vec<u64>,
     /// All different values.
     pub(super) table: Vec<u64>,
+    /// Where the points are.
+    pub(super) places: Vec<Place>,
+    /// For lines.
+    pub(super) lines: LineScratch,
 }
 
 impl Encoder {

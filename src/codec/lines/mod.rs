@@ -1,0 +1,194 @@
+//! Blocks of times that follow from positions: an airborne scanner sweeps over the ground in lines.
+//!
+//! A *pass* is one flight over the block (or its sweeps of one direction): lines begin at a fixed period, and when in
+//! its line a point was measured is nearly a linear function of its position. So a point's pass is stored, its line as a
+//! difference from what the pass' last point and the way from there to here let expect, and its time within the line in
+//! pulses, as a difference from what the line's last point lets expect. `docs/format-codec.md`, kind 5, has all of it.
+//!
+//! [`find`] is the encoder's judgement: it works with floats and may change. [`walk`] is what both sides must do alike,
+//! in integers throughout, so that what one machine encodes any other decodes.
+
+mod find;
+mod fit;
+mod walk;
+
+use super::CodecError;
+use super::numbers::{unzigzag, zigzag};
+use super::reader::{Reader, put_varint};
+use super::residual::{plan_all, put_residuals, read_residuals};
+use super::scratch::{Buffers, Decoder};
+use super::stream::StreamWriter;
+use walk::{Expected, MAX_LINES_PER_POINT, Model, ONE_PULSE, Walk};
+
+/// A position relative to a cube's low corner; the cube's exponent is at most 21.
+pub(super) type Place = [i32; 3];
+
+/// What encoding needs beside the block's buffers.
+#[derive(Debug, Default)]
+pub(super) struct LineBuffers {
+    found: find::Found,
+    walk: Walk,
+    /// With the pulse that was found, and with pulses of one number.
+    off: [Off; 2],
+    /// The bytes of one piece, whose length comes first.
+    piece: Vec<u8>,
+}
+
+/// How far a block's points are off what is expected of them.
+#[derive(Debug, Default)]
+struct Off {
+    /// Pass and line of each point.
+    choices: Vec<u64>,
+    /// Numbers, for the first point of each line.
+    firsts: Vec<u64>,
+    /// Pulses, for the others.
+    pulses: Vec<u64>,
+    /// And what is left between pulses.
+    rests: Vec<u64>,
+}
+
+impl Off {
+    fn pieces(&self, pulse: u64) -> impl Iterator<Item = &[u64]> {
+        let all = [&self.choices, &self.firsts, &self.pulses, &self.rests];
+        all.into_iter().map(|piece| &piece[..]).take(pieces(pulse))
+    }
+
+    /// Fills in all points; `labels` are their passes and lines.
+    fn fill(&mut self, model: &Model, walk: &mut Walk, labels: &[(u8, u32)], places: &[Place], numbers: &[u64]) {
+        let Self { choices, firsts, pulses, rests } = self;
+        [&mut *choices, &mut *firsts, &mut *pulses, &mut *rests].into_iter().for_each(Vec::clear);
+        walk.begin(model);
+        for ((&place, &number), &(pass, line)) in places.iter().zip(numbers).zip(labels) {
+            let (pass, line) = (usize::from(pass), i64::from(line));
+            let difference = line.wrapping_sub(walk.line(model, pass, place));
+            choices.push(zigzag(difference as u64) << model.pass_bits() | pass as u64);
+            let slot = model.slot(pass, line);
+            let Expected { from, pulses: ahead, first } = walk.expect(model, pass, slot, place);
+            let offset = (number as i64).wrapping_sub(model.line_start(pass, line));
+            let way = offset.wrapping_sub(from);
+            if first {
+                firsts.push(zigzag(way.wrapping_sub(model.length(ahead)) as u64));
+            } else {
+                let whole = model.nearest(way);
+                pulses.push(zigzag(whole.wrapping_sub(ahead) as u64));
+                rests.push(zigzag(way.wrapping_sub(model.length(whole)) as u64));
+            }
+            walk.keep(pass, line, slot, place, offset);
+        }
+    }
+
+    /// An estimate of what depends on the pulse, in bits.
+    fn cost(&self, pulse: u64) -> f32 {
+        self.pieces(pulse).skip(2).map(|piece| plan_all(piece).0.cost_bits).sum()
+    }
+}
+
+/// How many pieces there are.
+fn pieces(pulse: u64) -> usize {
+    if pulse == ONE_PULSE { 3 } else { 4 }
+}
+
+/// Appends the numbers `buffers.values`, whose order is known to `buffers.rank`, to `out` after `head`, if they are found
+/// to lie in lines, and says if they were.
+pub(super) fn try_put(
+    streams: &mut StreamWriter,
+    buffers: &mut Buffers,
+    head: impl Fn(&mut Vec<u8>),
+    out: &mut Vec<u8>,
+) -> bool {
+    let Buffers { values, places, lines, rank, .. } = buffers;
+    let LineBuffers { found, walk, off: [with_pulse, plain], piece } = lines;
+    if places.len() != values.len() || !found.find(rank.sorted(), places) {
+        return false;
+    }
+    let mut pulse = ONE_PULSE;
+    let mut best = plain;
+    found.set_pulse(pulse);
+    best.fill(found.model(), walk, found.labels(), places, values);
+    if found.pulse() != ONE_PULSE {
+        found.set_pulse(found.pulse());
+        with_pulse.fill(found.model(), walk, found.labels(), places, values);
+        if with_pulse.cost(found.pulse()) < best.cost(pulse) {
+            (pulse, best) = (found.pulse(), with_pulse);
+        } else {
+            found.set_pulse(pulse);
+        }
+    }
+    head(out);
+    found.model().put(out);
+    put_varint(best.firsts.len() as u64, out);
+    for numbers in best.pieces(pulse) {
+        let (plan, bits) = plan_all(numbers);
+        piece.clear();
+        put_residuals(streams, numbers.iter().copied(), bits, plan.mantissa, piece);
+        put_varint(piece.len() as u64, out);
+        out.extend_from_slice(piece);
+    }
+    true
+}
+
+/// What decoding needs beside the decoder's buffers.
+#[derive(Debug, Default)]
+pub(super) struct LineScratch {
+    model: Model,
+    walk: Walk,
+    pieces: [Vec<u64>; 4],
+}
+
+/// Reads the numbers of the points at `decoder.places`, up to the end of the block, into `decoder.values`, whose content
+/// is replaced.
+pub(super) fn read(decoder: &mut Decoder, mut reader: Reader) -> Result<(), CodecError> {
+    const FIRSTS: &str = "first points of lines";
+    let Decoder { streams, values, places, lines, .. } = decoder;
+    let LineScratch { model, walk, pieces: [choices, firsts, pulses, rests] } = lines;
+    let count = places.len();
+    model.read(&mut reader, MAX_LINES_PER_POINT * count)?;
+    let found = reader.varint(FIRSTS)?;
+    let first_count = usize::try_from(found).ok().filter(|n| (1..=count).contains(n));
+    let first_count = first_count.ok_or(CodecError::Range { place: FIRSTS, found, limit: count as u64 })?;
+    let counts = [count, first_count, count - first_count, count - first_count];
+    rests.clear();
+    let buffers = [&mut *choices, &mut *firsts, &mut *pulses, &mut *rests];
+    for (out, count) in buffers.into_iter().zip(counts).take(pieces(model.pulse())) {
+        const PIECE: &str = "piece of lines";
+        let length = usize::try_from(reader.varint(PIECE)?).unwrap_or(usize::MAX);
+        let piece = Reader::new(reader.take(length, PIECE)?);
+        read_residuals(streams, piece, count, u64::BITS, out)?;
+    }
+    reader.end("bytes after the lines")?;
+    rests.resize(count - first_count, 0);
+    let (mut firsts, mut others) = (firsts.iter(), pulses.iter().zip(rests.iter()));
+    let pass_mask = (1 << model.pass_bits()) - 1;
+    values.clear();
+    walk.begin(model);
+    for (&place, &choice) in places.iter().zip(choices.iter()) {
+        let pass = (choice & pass_mask) as usize;
+        let passes = model.passes();
+        if pass >= passes {
+            let (found, limit) = (pass as u64, passes as u64 - 1);
+            return Err(CodecError::Range { place: "pass of a point", found, limit });
+        }
+        let line = walk.line(model, pass, place).wrapping_add(unzigzag(choice >> model.pass_bits()) as i64);
+        let lines = model.lines(pass);
+        if !(0..lines).contains(&line) {
+            let (found, limit) = (line as u64, lines as u64 - 1);
+            return Err(CodecError::Range { place: "line of a point", found, limit });
+        }
+        let slot = model.slot(pass, line);
+        let Expected { from, pulses, first } = walk.expect(model, pass, slot, place);
+        let (ahead, rest) = if first {
+            (pulses, firsts.next())
+        } else {
+            match others.next() {
+                Some((pulse, rest)) => (pulses.wrapping_add(unzigzag(*pulse) as i64), Some(rest)),
+                None => (pulses, None),
+            }
+        };
+        let error = CodecError::Range { place: FIRSTS, found, limit: count as u64 };
+        let rest = unzigzag(*rest.ok_or(error)?) as i64;
+        let offset = from.wrapping_add(model.length(ahead)).wrapping_add(rest);
+        values.push(model.line_start(pass, line).wrapping_add(offset) as u64);
+        walk.keep(pass, line, slot, place, offset);
+    }
+    Ok(())
+}

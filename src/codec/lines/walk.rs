@@ -1,0 +1,247 @@
+//! Passes and lines, and what the points before let expect of the next one: integers, wrapping where damaged bytes lead
+//! them out of range, the same for encoding and decoding.
+
+use super::Place;
+use crate::codec::CodecError;
+use crate::codec::numbers::{unzigzag, zigzag};
+use crate::codec::reader::{Reader, put_varint};
+
+/// The most passes of a block.
+pub(super) const MAX_PASSES: usize = 32;
+
+/// The most lines of a block, of all passes together, for each of its points.
+pub(super) const MAX_LINES_PER_POINT: usize = 4;
+
+/// Fraction bits of a pulse's length.
+const PULSE_BITS: u32 = 16;
+
+/// A pulse of one number, which is to say that none is known.
+pub(super) const ONE_PULSE: u64 = 1 << PULSE_BITS;
+
+/// Fraction bits of pulses a lattice step.
+const ALONG_BITS: u32 = 20;
+
+/// Fraction bits of lines a lattice step.
+const ACROSS_BITS: u32 = 24;
+
+/// One pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Pass {
+    /// Where line 0 has offset 0.
+    pub(super) start: i64,
+    /// From line to line.
+    pub(super) period: i64,
+    /// Lines are numbered from 0.
+    pub(super) lines: u32,
+    /// Pulses a lattice step, by axis.
+    pub(super) along: [i64; 3],
+    /// Lines a lattice step, by axis.
+    pub(super) across: [i64; 3],
+}
+
+impl Pass {
+    /// Rounds rates to the model's fractions.
+    pub(super) fn set_rates(&mut self, along: [f64; 3], across: [f64; 3]) {
+        // Conversions saturate; any rate is valid.
+        self.along = along.map(|rate| (rate * f64::from(1 << ALONG_BITS)).round() as i64);
+        self.across = across.map(|rate| (rate * f64::from(1 << ACROSS_BITS)).round() as i64);
+    }
+}
+
+/// What is stored of a block beside its points.
+#[derive(Debug, Default)]
+pub(super) struct Model {
+    /// Numbers a pulse.
+    pulse: u64,
+    passes: Vec<Pass>,
+    /// The slot of each pass' line 0.
+    slots: Vec<usize>,
+    pass_bits: u32,
+}
+
+impl Model {
+    /// Takes over what was found; passes have at least one line each.
+    pub(super) fn set(&mut self, pulse: u64, passes: &[Pass]) {
+        self.pulse = pulse;
+        self.passes.clear();
+        self.passes.extend_from_slice(passes);
+        self.number();
+    }
+
+    fn number(&mut self) {
+        self.slots.clear();
+        let mut end = 0;
+        for pass in &self.passes {
+            self.slots.push(end);
+            end += pass.lines as usize;
+        }
+        self.slots.push(end);
+        self.pass_bits = self.passes.len().next_power_of_two().ilog2();
+    }
+
+    pub(super) fn put(&self, out: &mut Vec<u8>) {
+        put_varint(self.pulse, out);
+        out.push(self.passes.len() as u8);
+        for pass in &self.passes {
+            let Pass { start, period, lines, along, across } = *pass;
+            put_varint(lines.into(), out);
+            let signed = [start, period].into_iter().chain(along).chain(across);
+            signed.for_each(|v| put_varint(zigzag(v as u64), out));
+        }
+    }
+
+    /// The reverse of [`Model::put`].
+    pub(super) fn read(&mut self, reader: &mut Reader, max_lines: usize) -> Result<(), CodecError> {
+        const PULSE: &str = "numbers a pulse";
+        const PASSES: &str = "passes";
+        const LINES: &str = "lines of a pass";
+        self.pulse = reader.varint(PULSE)?;
+        if self.pulse < ONE_PULSE {
+            return Err(CodecError::Range { place: PULSE, found: self.pulse, limit: u64::MAX });
+        }
+        let count = usize::from(reader.u8(PASSES)?);
+        if !(1..=MAX_PASSES).contains(&count) {
+            return Err(CodecError::Range { place: PASSES, found: count as u64, limit: MAX_PASSES as u64 });
+        }
+        self.passes.clear();
+        let mut left = max_lines as u64;
+        for _ in 0..count {
+            let lines = reader.varint(LINES)?;
+            if !(1..=left).contains(&lines) {
+                return Err(CodecError::Range { place: LINES, found: lines, limit: left });
+            }
+            left -= lines;
+            let mut pass = Pass { lines: lines as u32, ..Pass::default() };
+            let Pass { start, period, along, across, .. } = &mut pass;
+            for value in [start, period].into_iter().chain(along).chain(across) {
+                *value = unzigzag(reader.varint("rates of a pass")?) as i64;
+            }
+            self.passes.push(pass);
+        }
+        self.number();
+        Ok(())
+    }
+
+    pub(super) fn pulse(&self) -> u64 {
+        self.pulse
+    }
+
+    pub(super) fn passes(&self) -> usize {
+        self.passes.len()
+    }
+
+    /// Bits of a choice that tell the pass.
+    pub(super) fn pass_bits(&self) -> u32 {
+        self.pass_bits
+    }
+
+    pub(super) fn lines(&self, pass: usize) -> i64 {
+        self.passes[pass].lines.into()
+    }
+
+    /// The place of a line, which the pass must have, among those of all passes.
+    pub(super) fn slot(&self, pass: usize, line: i64) -> usize {
+        self.slots[pass] + line as usize
+    }
+
+    /// The number that has offset 0 in a line.
+    pub(super) fn line_start(&self, pass: usize, line: i64) -> i64 {
+        let Pass { start, period, .. } = self.passes[pass];
+        start.wrapping_add(line.wrapping_mul(period))
+    }
+
+    /// The length of so many pulses.
+    pub(super) fn length(&self, pulses: i64) -> i64 {
+        pulses.wrapping_mul(self.pulse as i64).wrapping_add(1 << (PULSE_BITS - 1)) >> PULSE_BITS
+    }
+
+    /// How many pulses come nearest to a length. For encoding: whatever it gives, the rest makes up for it.
+    pub(super) fn nearest(&self, length: i64) -> i64 {
+        if self.pulse == ONE_PULSE { length } else { (length as f64 * ONE_PULSE as f64 / self.pulse as f64).round() as i64 }
+    }
+}
+
+/// What is expected of a point.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Expected {
+    /// The offset of the point to go from.
+    pub(super) from: i64,
+    /// Pulses from there to the point.
+    pub(super) pulses: i64,
+    /// Is it the first point of its line?
+    pub(super) first: bool,
+}
+
+/// The last point of a pass or of a line.
+#[derive(Clone, Copy, Debug, Default)]
+struct Last {
+    place: Place,
+    /// Is there one?
+    there: bool,
+    offset: i64,
+    line: i64,
+}
+
+/// The points so far.
+#[derive(Debug, Default)]
+pub(super) struct Walk {
+    passes: Vec<Last>,
+    lines: Vec<Last>,
+}
+
+impl Walk {
+    /// Before the first point.
+    pub(super) fn begin(&mut self, model: &Model) {
+        self.passes.clear();
+        self.passes.resize(model.passes.len(), Last::default());
+        self.lines.clear();
+        self.lines.resize(model.slots.last().copied().unwrap_or(0), Last::default());
+    }
+
+    /// The line that is expected of a point of this pass.
+    #[inline]
+    pub(super) fn line(&self, model: &Model, pass: usize, place: Place) -> i64 {
+        let last = &self.passes[pass];
+        if !last.there {
+            return 0;
+        }
+        last.line.wrapping_add(rounded(way(last.place, place, &model.passes[pass].across), ACROSS_BITS))
+    }
+
+    /// The offset that is expected of a point of this line.
+    #[inline]
+    pub(super) fn expect(&self, model: &Model, pass: usize, slot: usize, place: Place) -> Expected {
+        let of_line = &self.lines[slot];
+        let last = if of_line.there { of_line } else { &self.passes[pass] };
+        let first = !of_line.there;
+        if !last.there {
+            return Expected { from: 0, pulses: 0, first };
+        }
+        let pulses = rounded(way(last.place, place, &model.passes[pass].along), ALONG_BITS);
+        Expected { from: last.offset, pulses, first }
+    }
+
+    /// Adds a point.
+    #[inline]
+    pub(super) fn keep(&mut self, pass: usize, line: i64, slot: usize, place: Place, offset: i64) {
+        let last = Last { place, there: true, offset, line };
+        self.passes[pass] = last;
+        self.lines[slot] = last;
+    }
+}
+
+/// The way from one place to another at these rates.
+#[inline]
+fn way(from: Place, to: Place, rates: &[i64; 3]) -> i64 {
+    let mut sum = 0_i64;
+    for axis in 0..3 {
+        sum = sum.wrapping_add(i64::from(to[axis] - from[axis]).wrapping_mul(rates[axis]));
+    }
+    sum
+}
+
+/// Without the fraction; halves go up.
+#[inline]
+fn rounded(value: i64, fraction_bits: u32) -> i64 {
+    value.wrapping_add(1 << (fraction_bits - 1)) >> fraction_bits
+}

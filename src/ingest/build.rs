@@ -9,10 +9,9 @@ use super::progress::Progress;
 use super::rows::RowKey;
 use super::spill::Spill;
 use crate::lattice::Cube;
-use crate::lattice::SortKey;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{Params, first_win, wins};
-use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, ScanTable, encode_node};
+use crate::store::{ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, ScanTable, encode_node};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -38,6 +37,7 @@ fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], payloads: &Payload
 /// What does not change during a build.
 pub(super) struct Plan<'a> {
     pub params: Params,
+    pub layer: u16,
     pub root: Cube,
     pub scans: &'a [ScanColumns<'a>],
     pub table: &'a ScanTable,
@@ -48,7 +48,16 @@ pub(super) struct Plan<'a> {
     pub threads: usize,
     pub progress: &'a dyn Progress,
     /// Takes finished nodes, from any thread.
-    pub sink: &'a (dyn Fn(EncodedNode) -> Result<(), IngestError> + Sync),
+    pub sink: Sink<'a>,
+}
+
+/// In which form nodes are wanted.
+#[derive(Clone, Copy)]
+pub(super) enum Sink<'a> {
+    /// Encoded.
+    Encoded(&'a (dyn Fn(EncodedNode) -> Result<(), IngestError> + Sync)),
+    /// As they are: cube, leaf or not, points.
+    Content(&'a (dyn Fn(Cube, bool, DecodedPart) -> Result<(), IngestError> + Sync)),
 }
 
 /// A cube's worth of work.
@@ -259,7 +268,7 @@ impl<'a> Worker<'a> {
         Ok(())
     }
 
-    fn encode<'r, K: SortKey>(
+    fn encode<'r, K: RowKey>(
         &mut self,
         cube: Cube,
         leaf: bool,
@@ -269,10 +278,19 @@ impl<'a> Worker<'a> {
         rows: impl ExactSizeIterator<Item = (u32, &'r [u8])>,
     ) -> Result<(), IngestError> {
         let columns = gather(self.plan.scans, rows, &mut self.gather);
+        let sink = match self.plan.sink {
+            Sink::Encoded(sink) => sink,
+            Sink::Content(sink) => {
+                let keys = keys.iter().map(|key| key.full(cube)).collect();
+                let (scans, columns) = (columns.scans, columns.columns);
+                return sink(cube, leaf, DecodedPart { keys, blocks: Vec::new(), scans, columns });
+            }
+        };
+        let layer = self.plan.layer;
         let input =
-            NodeInput { layer: 0, cube, leaf, children, keys, wins, scans: &columns.scans, columns: &columns.columns };
+            NodeInput { layer, cube, leaf, children, keys, wins, scans: &columns.scans, columns: &columns.columns };
         let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
             .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
-        (self.plan.sink)(encoded)
+        sink(encoded)
     }
 }

@@ -19,16 +19,25 @@ pub(super) fn append_points(cube: Cube, keys: &[u64], out: &mut Positions) {
 
 /// Where the points of a cube of exponent at most 21 with these keys are, relative to its low corner; replaces what `out`
 /// holds.
-pub(super) fn places(cube: Cube, keys: impl ExactSizeIterator<Item = u64> + Clone, out: &mut Vec<Place>) {
+pub(super) fn places(cube: Cube, keys: impl ExactSizeIterator<Item = u64>, out: &mut Vec<Place>) {
     let inside = cube.side() - 1;
     out.clear();
     out.resize(keys.len(), Place::default());
-    for axis in 0..3 {
-        for (place, key) in out.iter_mut().zip(keys.clone()) {
-            place[axis] = ((compact(key >> axis) ^ PRIORITY_MASK) & inside) as i32;
+    // One axis after the other, so that the compiler takes several keys at a time.
+    let mut keys = keys;
+    for places in out.chunks_mut(LANES) {
+        let mut few = [0; LANES];
+        few.iter_mut().zip(&mut keys).for_each(|(few, key)| *few = key);
+        let axes: [[u64; LANES]; 3] =
+            std::array::from_fn(|axis| few.map(|key| (compact(key >> axis) ^ PRIORITY_MASK) & inside));
+        for (i, place) in places.iter_mut().enumerate() {
+            *place = [axes[0][i] as i32, axes[1][i] as i32, axes[2][i] as i32];
         }
     }
 }
+
+/// Keys taken at a time.
+const LANES: usize = 16;
 
 /// The tight bounds of the points of `cube`, of exponent at most 21, with these keys relative to the cube's first.
 ///

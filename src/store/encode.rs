@@ -14,8 +14,9 @@ use crate::lattice::{Cube, LatticeBox, SortKey};
 use crate::octree;
 use crate::points::{Column, ScalarType};
 
-/// Columns shorter than this share a row: a row of its own costs about 60 bytes beside its content.
-pub const PACKED_BELOW_BYTES: usize = 256;
+/// Columns shorter than this share a row: a row of its own costs about 60 bytes beside its content, and leaves a part of
+/// a page empty (docs/format.md has what was measured).
+pub const PACKED_BELOW_BYTES: usize = 4096;
 
 /// Which attributes the points of each scan have, and how deep their colours are.
 #[derive(Clone, Debug, Default)]
@@ -148,12 +149,14 @@ pub fn encode_node<K: SortKey>(
         let whole = plan.points.len() == keys.len();
         let mut pieces: Vec<(Slot, Vec<u8>)> = Vec::with_capacity(columns.len() + 2);
         let mut bytes = Vec::new();
-        if whole {
-            scratch.encoder.positions(cube, keys, &mut bytes)?;
+        let picked: Vec<K>;
+        let keys = if whole {
+            keys
         } else {
-            let picked: Vec<K> = plan.points.iter().map(|&i| keys[i as usize]).collect();
-            scratch.encoder.positions(cube, &picked, &mut bytes)?;
-        }
+            picked = plan.points.iter().map(|&i| keys[i as usize]).collect();
+            &picked
+        };
+        scratch.encoder.positions(cube, keys, &mut bytes)?;
         pieces.push((SLOT_POSITION, bytes));
         scratch.scans.clear();
         scratch.scans.extend(plan.points.iter().map(|&i| scans[i as usize]));
@@ -170,11 +173,11 @@ pub fn encode_node<K: SortKey>(
             }
             let mut bytes = Vec::new();
             if whole {
-                scratch.encoder.column(column, &mut bytes)?;
+                scratch.encoder.column_at(column, cube, keys, &mut bytes)?;
             } else {
                 let mut picked = Column::with_capacity(column.ty(), plan.points.len());
                 picked.extend_gathered(column, &plan.points);
-                scratch.encoder.column(&picked, &mut bytes)?;
+                scratch.encoder.column_at(&picked, cube, keys, &mut bytes)?;
             }
             pieces.push((*slot, bytes));
         }
@@ -245,7 +248,7 @@ fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chun
     }
     if !small.is_empty() {
         let packed = pack(small.iter().map(|(slot, bytes)| (*slot, &bytes[..])));
-        head.parts[part].packed = small.iter().map(|s| s.0).collect();
+        head.parts[part].packed = small.iter().map(|(slot, bytes)| (*slot, bytes.len() as u32)).collect();
         head.parts[part].packed_bytes = packed.len() as u32;
         chunks.push(row(head.chunk_id(part, SLOT_PACKED), SLOT_PACKED, packed));
     }

@@ -3,7 +3,7 @@
 
 use super::Place;
 use super::fit::Fit;
-use super::walk::{MAX_LINES_PER_POINT, MAX_PASSES, Model, ONE_PULSE, Pass};
+use super::walk::{MAX_LINES_PER_POINT, MAX_PASSES, Model, ONE_PULSE, Pass, nearest};
 use crate::codec::ranked::Entry;
 
 /// The fewest points among which lines are looked for: below, passes cost more than they save.
@@ -22,7 +22,7 @@ const BOTH_WAYS: f64 = 0.1;
 const STRIDE: usize = 4;
 
 /// Gaps that are looked at for the pulse.
-const PULSE_SAMPLE: usize = 512;
+const PULSE_SAMPLE: usize = 256;
 
 /// A pulse of fewer numbers saves nothing.
 const MIN_PULSE: f64 = 3.0;
@@ -59,7 +59,9 @@ pub(super) struct Found {
     pulse: u64,
     sweeps: Vec<Sweep>,
     gaps: Vec<i64>,
-    samples: Vec<(f64, f64)>,
+    /// Distances from the beginning of a sweep.
+    samples: Vec<f64>,
+    errors: Vec<f64>,
 }
 
 impl Found {
@@ -179,7 +181,7 @@ impl Found {
                     let (mut n, mut before, mut count) = (0.0, origin, 0.0);
                     let [mut sn, mut sy, mut snn, mut sny] = [0.0; 4];
                     for middle in own() {
-                        n += ((middle - before) as f64 / pass.period as f64).round();
+                        n += nearest((middle - before) as f64 / pass.period as f64) as f64;
                         before = middle;
                         let y = (middle - origin) as f64;
                         (sn, sy, snn, sny, count) = (sn + n, sy + y, snn + n * n, sny + n * y, count + 1.0);
@@ -230,7 +232,7 @@ impl Found {
 
     /// Finds the distance between pulses: the least common gap, then a better one over longer and longer ways.
     fn find_pulse(&mut self, sorted: &[Entry]) {
-        let Self { sweeps, gaps, samples, .. } = self;
+        let Self { sweeps, gaps, samples, errors, .. } = self;
         self.pulse = ONE_PULSE;
         gaps.clear();
         samples.clear();
@@ -239,7 +241,7 @@ impl Found {
             for i in (first..end).skip(first % stride).step_by(stride) {
                 let number = sorted[i].number();
                 if number > from {
-                    samples.push(((number - from) as f64, 0.0));
+                    samples.push((number - from) as f64);
                     let gap = number - sorted[i - 1].number();
                     if gap > 0 {
                         gaps.push(gap);
@@ -258,11 +260,13 @@ impl Found {
         }
         let mut pulse: f64 = sum / count;
         for reach in [4.0, 16.0, 64.0, 256.0] {
-            let error = |&(way, _): &(f64, f64)| {
-                let pulses = (way / pulse).round();
+            // What the pulse's own error does grows with the way.
+            let error = |way: &f64| {
+                let pulses = nearest(way / pulse) as f64;
                 (pulses > 0.0 && pulses <= reach).then(|| ((way - pulses * pulse).abs() / pulses.sqrt(), pulses))
             };
-            let mut errors: Vec<f64> = samples.iter().filter_map(error).map(|e| e.0).collect();
+            errors.clear();
+            errors.extend(samples.iter().filter_map(error).map(|e| e.0));
             if errors.is_empty() {
                 continue;
             }
@@ -273,7 +277,7 @@ impl Found {
                 if let Some((error, pulses)) = error(sample)
                     && error <= limit
                 {
-                    with += pulses * sample.0;
+                    with += pulses * sample;
                     squares += pulses * pulses;
                 }
             }

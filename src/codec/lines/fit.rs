@@ -77,9 +77,9 @@ mod tests {
     proptest! {
         #[test]
         fn planes_are_found(
-            rates in prop::array::uniform3(-10.0..10.0),
-            constant in -1e3..1e3,
-            xs in prop::collection::vec(prop::array::uniform3(-100.0..100.0), 30..60),
+            rates in prop::array::uniform3(-10.0_f64..10.0),
+            constant in -1e3_f64..1e3,
+            xs in prop::collection::vec(prop::array::uniform3(-100.0_f64..100.0), 30..60),
         ) {
             let (mut through, mut with): (Fit, Fit) = Default::default();
             for x in &xs {
@@ -88,7 +88,7 @@ mod tests {
                 with.add(*x, y + constant);
             }
             for found in [through.through_origin(), with.with_constant()] {
-                for (found, rate) in found.iter().zip(rates) {
+                for (found, rate) in found.into_iter().zip(rates) {
                     prop_assert!((found - rate).abs() < 1e-2, "{found} {rate}");
                 }
             }

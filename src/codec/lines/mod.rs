@@ -28,11 +28,13 @@ pub(super) type Place = [i32; 3];
 pub(super) struct LineBuffers {
     found: find::Found,
     walk: Walk,
-    /// With the pulse that was found, and with pulses of one number.
-    off: [Off; 2],
+    off: Off,
     /// The bytes of one piece, whose length comes first.
     piece: Vec<u8>,
 }
+
+/// Pulses are judged by such a share of the points.
+const SAMPLE_SHARE: usize = 8;
 
 /// How far a block's points are off what is expected of them.
 #[derive(Debug, Default)]
@@ -56,25 +58,34 @@ impl Off {
     /// Fills in all points; `labels` are their passes and lines.
     fn fill(&mut self, model: &Model, walk: &mut Walk, labels: &[(u8, u32)], places: &[Place], numbers: &[u64]) {
         let Self { choices, firsts, pulses, rests } = self;
-        [&mut *choices, &mut *firsts, &mut *pulses, &mut *rests].into_iter().for_each(Vec::clear);
+        choices.clear();
+        // Filled by place, since a push may have to grow.
+        [&mut *firsts, &mut *pulses, &mut *rests].into_iter().for_each(|piece| piece.resize(places.len(), 0));
+        let (mut first_count, mut other_count) = (0, 0);
+        let bits = model.pass_bits();
         walk.begin(model);
-        for ((&place, &number), &(pass, line)) in places.iter().zip(numbers).zip(labels) {
-            let (pass, line) = (usize::from(pass), i64::from(line));
-            let difference = line.wrapping_sub(walk.line(model, pass, place));
-            choices.push(zigzag(difference as u64) << model.pass_bits() | pass as u64);
-            let slot = model.slot(pass, line);
-            let Expected { from, pulses: ahead, first } = walk.expect(model, pass, slot, place);
-            let offset = (number as i64).wrapping_sub(model.line_start(pass, line));
+        choices.extend(places.iter().zip(numbers).zip(labels).map(|((&place, &number), &(pass, line))| {
+            let Some(next) = walk.next(usize::from(pass), place) else { return 0 };
+            let difference = i64::from(line).wrapping_sub(next.line());
+            let Some(point) = next.on(line.into()) else { return 0 };
+            let Expected { from, pulses: ahead, first } = point.expected();
+            let offset = (number as i64).wrapping_sub(point.start());
             let way = offset.wrapping_sub(from);
             if first {
-                firsts.push(zigzag(way.wrapping_sub(model.length(ahead)) as u64));
+                firsts[first_count] = zigzag(way.wrapping_sub(model.length(ahead)) as u64);
+                first_count += 1;
             } else {
                 let whole = model.nearest(way);
-                pulses.push(zigzag(whole.wrapping_sub(ahead) as u64));
-                rests.push(zigzag(way.wrapping_sub(model.length(whole)) as u64));
+                pulses[other_count] = zigzag(whole.wrapping_sub(ahead) as u64);
+                rests[other_count] = zigzag(way.wrapping_sub(model.length(whole)) as u64);
+                other_count += 1;
             }
-            walk.keep(pass, line, slot, place, offset);
-        }
+            point.keep(offset);
+            zigzag(difference as u64) << bits | u64::from(pass)
+        }));
+        firsts.truncate(first_count);
+        pulses.truncate(other_count);
+        rests.truncate(other_count);
     }
 
     /// An estimate of what depends on the pulse, in bits.
@@ -97,27 +108,29 @@ pub(super) fn try_put(
     out: &mut Vec<u8>,
 ) -> bool {
     let Buffers { values, places, lines, rank, .. } = buffers;
-    let LineBuffers { found, walk, off: [with_pulse, plain], piece } = lines;
+    let LineBuffers { found, walk, off, piece } = lines;
     if places.len() != values.len() || !found.find(rank.sorted(), places) {
         return false;
     }
-    let mut pulse = ONE_PULSE;
-    let mut best = plain;
-    found.set_pulse(pulse);
-    best.fill(found.model(), walk, found.labels(), places, values);
-    if found.pulse() != ONE_PULSE {
-        found.set_pulse(found.pulse());
-        with_pulse.fill(found.model(), walk, found.labels(), places, values);
-        if with_pulse.cost(found.pulse()) < best.cost(pulse) {
-            (pulse, best) = (found.pulse(), with_pulse);
-        } else {
+    let mut pulse = found.pulse();
+    if pulse != ONE_PULSE {
+        // The first points tell if pulses are worth it.
+        let few = values.len().div_ceil(SAMPLE_SHARE);
+        let [with, without] = [pulse, ONE_PULSE].map(|pulse| {
             found.set_pulse(pulse);
+            off.fill(found.model(), walk, found.labels(), &places[..few], values);
+            off.cost(pulse)
+        });
+        if with >= without {
+            pulse = ONE_PULSE;
         }
     }
+    found.set_pulse(pulse);
+    off.fill(found.model(), walk, found.labels(), places, values);
     head(out);
     found.model().put(out);
-    put_varint(best.firsts.len() as u64, out);
-    for numbers in best.pieces(pulse) {
+    put_varint(off.firsts.len() as u64, out);
+    for numbers in off.pieces(pulse) {
         let (plan, bits) = plan_all(numbers);
         piece.clear();
         put_residuals(streams, numbers.iter().copied(), bits, plan.mantissa, piece);
@@ -158,37 +171,34 @@ pub(super) fn read(decoder: &mut Decoder, mut reader: Reader) -> Result<(), Code
     reader.end("bytes after the lines")?;
     rests.resize(count - first_count, 0);
     let (mut firsts, mut others) = (firsts.iter(), pulses.iter().zip(rests.iter()));
-    let pass_mask = (1 << model.pass_bits()) - 1;
+    let bits = model.pass_bits();
+    let outside = |place, found, limit: i64| CodecError::Range { place, found, limit: limit as u64 };
     values.clear();
+    values.resize(count, 0);
     walk.begin(model);
-    for (&place, &choice) in places.iter().zip(choices.iter()) {
-        let pass = (choice & pass_mask) as usize;
-        let passes = model.passes();
-        if pass >= passes {
-            let (found, limit) = (pass as u64, passes as u64 - 1);
-            return Err(CodecError::Range { place: "pass of a point", found, limit });
-        }
-        let line = walk.line(model, pass, place).wrapping_add(unzigzag(choice >> model.pass_bits()) as i64);
-        let lines = model.lines(pass);
-        if !(0..lines).contains(&line) {
-            let (found, limit) = (line as u64, lines as u64 - 1);
-            return Err(CodecError::Range { place: "line of a point", found, limit });
-        }
-        let slot = model.slot(pass, line);
-        let Expected { from, pulses, first } = walk.expect(model, pass, slot, place);
-        let (ahead, rest) = if first {
-            (pulses, firsts.next())
+    for ((&place, &choice), value) in places.iter().zip(choices.iter()).zip(values) {
+        let pass = choice & ((1 << bits) - 1);
+        let next = walk.next(pass as usize, place);
+        let next = next.ok_or_else(|| outside("pass of a point", pass, model.passes() as i64 - 1))?;
+        let line = next.line().wrapping_add(unzigzag(choice >> bits) as i64);
+        let lines = next.lines();
+        let point = next.on(line).ok_or_else(|| outside("line of a point", line as u64, lines - 1))?;
+        let Expected { from, pulses: mut ahead, first } = point.expected();
+        let rest = if first {
+            firsts.next()
         } else {
-            match others.next() {
-                Some((pulse, rest)) => (pulses.wrapping_add(unzigzag(*pulse) as i64), Some(rest)),
-                None => (pulses, None),
-            }
+            others.next().map(|(pulses, rest)| {
+                ahead = ahead.wrapping_add(unzigzag(*pulses) as i64);
+                rest
+            })
         };
-        let error = CodecError::Range { place: FIRSTS, found, limit: count as u64 };
-        let rest = unzigzag(*rest.ok_or(error)?) as i64;
+        let rest = unzigzag(*rest.ok_or_else(|| outside(FIRSTS, first_count as u64, count as i64))?) as i64;
         let offset = from.wrapping_add(model.length(ahead)).wrapping_add(rest);
-        values.push(model.line_start(pass, line).wrapping_add(offset) as u64);
-        walk.keep(pass, line, slot, place, offset);
+        *value = point.start().wrapping_add(offset) as u64;
+        point.keep(offset);
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests;

@@ -53,9 +53,9 @@ impl Pass {
 pub(super) struct Model {
     /// Numbers a pulse.
     pulse: u64,
+    /// Its reverse, for encoding.
+    pulses_a_number: f64,
     passes: Vec<Pass>,
-    /// The slot of each pass' line 0.
-    slots: Vec<usize>,
     pass_bits: u32,
 }
 
@@ -63,19 +63,13 @@ impl Model {
     /// Takes over what was found; passes have at least one line each.
     pub(super) fn set(&mut self, pulse: u64, passes: &[Pass]) {
         self.pulse = pulse;
+        self.pulses_a_number = ONE_PULSE as f64 / pulse as f64;
         self.passes.clear();
         self.passes.extend_from_slice(passes);
-        self.number();
+        self.count();
     }
 
-    fn number(&mut self) {
-        self.slots.clear();
-        let mut end = 0;
-        for pass in &self.passes {
-            self.slots.push(end);
-            end += pass.lines as usize;
-        }
-        self.slots.push(end);
+    fn count(&mut self) {
         self.pass_bits = self.passes.len().next_power_of_two().ilog2();
     }
 
@@ -118,7 +112,7 @@ impl Model {
             }
             self.passes.push(pass);
         }
-        self.number();
+        self.count();
         Ok(())
     }
 
@@ -131,34 +125,28 @@ impl Model {
     }
 
     /// Bits of a choice that tell the pass.
+    #[inline]
     pub(super) fn pass_bits(&self) -> u32 {
         self.pass_bits
     }
 
-    pub(super) fn lines(&self, pass: usize) -> i64 {
-        self.passes[pass].lines.into()
-    }
-
-    /// The place of a line, which the pass must have, among those of all passes.
-    pub(super) fn slot(&self, pass: usize, line: i64) -> usize {
-        self.slots[pass] + line as usize
-    }
-
-    /// The number that has offset 0 in a line.
-    pub(super) fn line_start(&self, pass: usize, line: i64) -> i64 {
-        let Pass { start, period, .. } = self.passes[pass];
-        start.wrapping_add(line.wrapping_mul(period))
-    }
-
     /// The length of so many pulses.
+    #[inline]
     pub(super) fn length(&self, pulses: i64) -> i64 {
         pulses.wrapping_mul(self.pulse as i64).wrapping_add(1 << (PULSE_BITS - 1)) >> PULSE_BITS
     }
 
     /// How many pulses come nearest to a length. For encoding: whatever it gives, the rest makes up for it.
+    #[inline]
     pub(super) fn nearest(&self, length: i64) -> i64 {
-        if self.pulse == ONE_PULSE { length } else { (length as f64 * ONE_PULSE as f64 / self.pulse as f64).round() as i64 }
+        if self.pulse == ONE_PULSE { length } else { nearest(length as f64 * self.pulses_a_number) }
     }
+}
+
+/// The nearest whole number; conversions are much faster than `f64::round`, a call where the processor may be old.
+#[inline]
+pub(super) fn nearest(value: f64) -> i64 {
+    (value + 0.5_f64.copysign(value)) as i64
 }
 
 /// What is expected of a point.
@@ -175,17 +163,27 @@ pub(super) struct Expected {
 /// The last point of a pass or of a line.
 #[derive(Clone, Copy, Debug, Default)]
 struct Last {
+    offset: i64,
     place: Place,
     /// Is there one?
     there: bool,
-    offset: i64,
+}
+
+/// A pass on the way.
+#[derive(Clone, Copy, Debug, Default)]
+struct State {
+    pass: Pass,
+    last: Last,
+    /// The line of the last point.
     line: i64,
+    /// The place of line 0 among the lines of all passes.
+    slot: usize,
 }
 
 /// The points so far.
 #[derive(Debug, Default)]
 pub(super) struct Walk {
-    passes: Vec<Last>,
+    passes: Vec<State>,
     lines: Vec<Last>,
 }
 
@@ -193,51 +191,99 @@ impl Walk {
     /// Before the first point.
     pub(super) fn begin(&mut self, model: &Model) {
         self.passes.clear();
-        self.passes.resize(model.passes.len(), Last::default());
-        self.lines.clear();
-        self.lines.resize(model.slots.last().copied().unwrap_or(0), Last::default());
-    }
-
-    /// The line that is expected of a point of this pass.
-    #[inline]
-    pub(super) fn line(&self, model: &Model, pass: usize, place: Place) -> i64 {
-        let last = &self.passes[pass];
-        if !last.there {
-            return 0;
+        let mut slot = 0;
+        for &pass in &model.passes {
+            self.passes.push(State { pass, slot, ..State::default() });
+            slot += pass.lines as usize;
         }
-        last.line.wrapping_add(rounded(way(last.place, place, &model.passes[pass].across), ACROSS_BITS))
+        self.lines.clear();
+        self.lines.resize(slot, Last::default());
     }
 
-    /// The offset that is expected of a point of this line.
+    /// The next point of a pass, if there is such a pass.
     #[inline]
-    pub(super) fn expect(&self, model: &Model, pass: usize, slot: usize, place: Place) -> Expected {
-        let of_line = &self.lines[slot];
-        let last = if of_line.there { of_line } else { &self.passes[pass] };
-        let first = !of_line.there;
+    pub(super) fn next(&mut self, pass: usize, place: Place) -> Option<Next<'_>> {
+        let Self { passes, lines } = self;
+        Some(Next { state: passes.get_mut(pass)?, lines, place })
+    }
+}
+
+/// A point whose pass is known.
+#[derive(Debug)]
+pub(super) struct Next<'a> {
+    state: &'a mut State,
+    lines: &'a mut [Last],
+    place: Place,
+}
+
+impl<'a> Next<'a> {
+    /// The line that is expected.
+    #[inline]
+    pub(super) fn line(&self) -> i64 {
+        let State { pass, last, line, .. } = &*self.state;
+        if last.there { line.wrapping_add(rounded(way(last.place, self.place, &pass.across), ACROSS_BITS)) } else { 0 }
+    }
+
+    /// How many lines the pass has.
+    #[inline]
+    pub(super) fn lines(&self) -> i64 {
+        self.state.pass.lines.into()
+    }
+
+    /// The point with its line, if the pass has such a line.
+    #[inline]
+    pub(super) fn on(self, line: i64) -> Option<OnLine<'a>> {
+        let Self { state, lines, place } = self;
+        if !(0..i64::from(state.pass.lines)).contains(&line) {
+            return None;
+        }
+        state.line = line;
+        Some(OnLine { of_line: lines.get_mut(state.slot + line as usize)?, state, place })
+    }
+}
+
+/// A point whose line is known.
+#[derive(Debug)]
+pub(super) struct OnLine<'a> {
+    state: &'a mut State,
+    of_line: &'a mut Last,
+    place: Place,
+}
+
+impl OnLine<'_> {
+    /// The number that has offset 0 in the line.
+    #[inline]
+    pub(super) fn start(&self) -> i64 {
+        let Pass { start, period, .. } = self.state.pass;
+        start.wrapping_add(self.state.line.wrapping_mul(period))
+    }
+
+    /// The offset that is expected.
+    #[inline]
+    pub(super) fn expected(&self) -> Expected {
+        let first = !self.of_line.there;
+        let last = if first { &self.state.last } else { &*self.of_line };
         if !last.there {
             return Expected { from: 0, pulses: 0, first };
         }
-        let pulses = rounded(way(last.place, place, &model.passes[pass].along), ALONG_BITS);
+        let pulses = rounded(way(last.place, self.place, &self.state.pass.along), ALONG_BITS);
         Expected { from: last.offset, pulses, first }
     }
 
-    /// Adds a point.
+    /// Notes the point's offset.
     #[inline]
-    pub(super) fn keep(&mut self, pass: usize, line: i64, slot: usize, place: Place, offset: i64) {
-        let last = Last { place, there: true, offset, line };
-        self.passes[pass] = last;
-        self.lines[slot] = last;
+    pub(super) fn keep(self, offset: i64) {
+        let last = Last { offset, place: self.place, there: true };
+        self.state.last = last;
+        *self.of_line = last;
     }
 }
 
 /// The way from one place to another at these rates.
 #[inline]
 fn way(from: Place, to: Place, rates: &[i64; 3]) -> i64 {
-    let mut sum = 0_i64;
-    for axis in 0..3 {
-        sum = sum.wrapping_add(i64::from(to[axis] - from[axis]).wrapping_mul(rates[axis]));
-    }
-    sum
+    let along = |axis: usize| i64::from(to[axis] - from[axis]).wrapping_mul(rates[axis]);
+    along(0).wrapping_add(along(1)).wrapping_add(along(2))
 }
 
 /// Without the fraction; halves go up.

@@ -4,14 +4,16 @@
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
 use super::dictionary;
-use super::lines::{self, Place};
+use super::lines;
 use super::numbers::{self, Numbers};
+use super::passes::{BesideBlock, BlockPasses};
 use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
 use super::scratch::Buffers;
+use super::steady;
 use super::stream::StreamWriter;
 use super::value::{Survey, Value};
-use super::{CodecError, Decoder};
+use super::{CodecError, Decoder, PositionChunk};
 use crate::points::ScalarType;
 
 /// How a block is written.
@@ -29,11 +31,13 @@ enum Kind {
     Ranked,
     /// `least`, `step`; how far the `n` are off what the points' positions let expect.
     Lines,
+    /// `least`, `step`; how far the `n` are off what their passes let expect.
+    Steady,
 }
 
 impl Kind {
-    const ALL: [Self; 6] =
-        [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked, Self::Lines];
+    const ALL: [Self; 7] =
+        [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked, Self::Lines, Self::Steady];
 }
 
 /// Below so many bits a value, ranks of values beyond 16 bits are not tried: sorting costs more time than all else.
@@ -114,13 +118,16 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
-/// Appends the block of `values`, of which there is at least one; `places` gives where their points are, or nothing.
+/// Blocks that take less are not tried otherwise: one of so many bytes a point.
+const SMALL_SHARE: usize = 24;
+
+/// Appends the block of `values`, of which there is at least one.
 pub(super) fn put_block<T: Value>(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
     ty: ScalarType,
     block: &[T],
-    places: &dyn Fn(&mut Vec<Place>),
+    beside: BesideBlock,
     out: &mut Vec<u8>,
 ) {
     let width = ty.size();
@@ -134,6 +141,11 @@ pub(super) fn put_block<T: Value>(
     let start = out.len();
     let step = Step::common(block, survey);
     let most = step.quotient(greatest - least);
+    let (times, passes) = match beside {
+        BesideBlock::Times(found) => (Some(found), None),
+        BesideBlock::Passes(known) => (None, Some(known).filter(|known| known.count > 0)),
+        BesideBlock::Nothing => (None, None),
+    };
     let head = |kind: Kind, out: &mut Vec<u8>| {
         out.push(kind as u8);
         put_uint(least, width, out);
@@ -154,7 +166,26 @@ pub(super) fn put_block<T: Value>(
         let numbers = &mut buffers.values;
         numbers.clear();
         numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least)));
-        put_wide(streams, buffers, most, places, head, out);
+        put_wide(streams, buffers, most, times, head, out);
+    }
+    let plain = out.len() - start;
+    if let Some(passes) = passes
+        && most <= u64::from(u16::MAX)
+        && plain > block.len() / SMALL_SHARE
+    {
+        let Buffers { values, bytes, steady, other, .. } = buffers;
+        other.clear();
+        let head = |out: &mut Vec<u8>| head(Kind::Steady, out);
+        let count = block.len();
+        let tried = if most <= u64::from(u8::MAX) {
+            steady::try_put(streams, steady, passes, count, |i| u64::from(bytes[i]), plain, head, other)
+        } else {
+            steady::try_put(streams, steady, passes, count, |i| values[i], plain, head, other)
+        };
+        if tried && other.len() < plain {
+            out.truncate(start);
+            out.extend_from_slice(other);
+        }
     }
     if out.len() - start > 1 + width * block.len() {
         out.truncate(start);
@@ -187,7 +218,7 @@ fn put_wide(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
     most: u64,
-    places: &dyn Fn(&mut Vec<Place>),
+    times: Option<&mut BlockPasses>,
     head: impl Fn(Kind, &mut Vec<u8>),
     out: &mut Vec<u8>,
 ) {
@@ -203,12 +234,15 @@ fn put_wide(
     let start = out.len();
     let mut limit_bits = choice.cost_bits;
     let mut lines = 0;
+    let mut found = None;
     if rankable && most > u64::from(u16::MAX) && ranked::is_sortable(most) {
         buffers.rank.sort(&buffers.values, most);
-        places(&mut buffers.places);
-        if lines::try_put(streams, buffers, |out| head(Kind::Lines, out), out) {
+        if let Some(times) = times
+            && lines::try_put(streams, buffers, times, |out| head(Kind::Lines, out), out)
+        {
             lines = out.len() - start;
             limit_bits = limit_bits.min(8.0 * lines as f32);
+            found = Some(times);
             if 8 * lines <= GOOD_LINES_BITS * buffers.values.len() {
                 return;
             }
@@ -221,17 +255,23 @@ fn put_wide(
         out.truncate(start);
         head(Kind::Numbers, out);
         numbers::put(streams, &buffers.values, &mut buffers.packed, choice, out);
+    } else {
+        return;
+    }
+    // Passes that do not help times would hardly help others.
+    if let Some(found) = found {
+        found.count = 0;
     }
 }
 
-/// Appends the `count` values of a block to `out`, or nothing if there is an error. `places` decodes where their points
-/// are into `decoder.places`.
+/// Appends the `count` values of a block to `out`, or nothing if there is an error. `beside` is where
+/// positions are, and which block of them.
 pub(super) fn read_block<T: Value>(
     decoder: &mut Decoder,
     ty: ScalarType,
     bytes: &[u8],
     count: usize,
-    places: &dyn Fn(&mut Decoder) -> Result<(), CodecError>,
+    beside: Option<(&PositionChunk, usize)>,
     out: &mut Vec<T>,
 ) -> Result<(), CodecError> {
     const KIND: &str = "kind of a block";
@@ -239,7 +279,7 @@ pub(super) fn read_block<T: Value>(
     let mut reader = Reader::new(bytes);
     let code = reader.u8(KIND)?;
     let kind = Kind::ALL.into_iter().find(|k| *k as u8 == code);
-    let limit = Kind::Lines as u64;
+    let limit = Kind::Steady as u64;
     let kind = kind.ok_or(CodecError::Range { place: KIND, found: u64::from(code), limit })?;
     match kind {
         Kind::Constant => {
@@ -277,11 +317,17 @@ pub(super) fn read_block<T: Value>(
         }
         Kind::Ranked => ranked::read(decoder, reader, count)?,
         _ => {
-            places(decoder)?;
-            if decoder.places.len() != count {
-                return Err(CodecError::Count { expected: count, found: decoder.places.len() as u64 });
+            let (positions, block) = beside.ok_or(CodecError::NoPositions)?;
+            let passes = positions.passes(decoder, block)?;
+            if decoder.passes.len() != count {
+                return Err(CodecError::Count { expected: count, found: decoder.passes.len() as u64 });
             }
-            lines::read(decoder, reader)?;
+            if kind == Kind::Lines {
+                positions.places(decoder, block)?;
+                lines::read(decoder, reader, passes)?;
+            } else {
+                steady::read(decoder, reader, passes, |decoder| positions.places(decoder, block))?;
+            }
         }
     }
     let found = decoder.values.iter().copied().max().unwrap_or(0);

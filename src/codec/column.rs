@@ -1,8 +1,8 @@
 //! Chunks of attributes.
 
 use super::block::{put_block, read_block};
-use super::lines::Place;
 use super::morton;
+use super::passes::{Beside, BlockPasses, Passes};
 use super::directory::{Directory, put_head, read_head};
 use super::reader::{Reader, put_uint};
 use super::value::Value;
@@ -51,32 +51,46 @@ impl Encoder {
     /// [`CodecError::TooManyPoints`]; `out` is then as it was.
     pub fn column(&mut self, column: &Column, out: &mut Vec<u8>) -> Result<(), CodecError> {
         put_head(CODEC, column.len(), out)?;
-        with_column!(column, values => self.put_values(column.ty(), values, &|_, places| places.clear(), out));
+        with_column!(column, values => self.put_values(column.ty(), values, Beside::Passes(&Passes::default()), out));
         Ok(())
     }
 
-    /// The same for values of points with these keys of `cube`, one for each: what follows from positions takes less.
+    /// The same for the times of points with these keys of `cube`, one for each, where they may follow from positions. Gives
+    /// the passes that they show, which positions and other columns are to be encoded with.
     ///
     /// # Errors
     ///
     /// [`CodecError::TooManyPoints`]; `out` is then as it was.
-    pub fn column_at<K: SortKey>(
+    pub fn times<K: SortKey>(
         &mut self,
         column: &Column,
         cube: Cube,
         keys: &[K],
         out: &mut Vec<u8>,
-    ) -> Result<(), CodecError> {
+    ) -> Result<Passes, CodecError> {
         if cube.k() > LOW_DIGITS || keys.len() != column.len() {
-            return self.column(column, out);
+            return self.column(column, out).map(|()| Passes::default());
         }
         put_head(CODEC, column.len(), out)?;
         let prefix = cube.first_key().low;
-        let places = |block: usize, places: &mut Vec<Place>| {
-            let keys = keys[block_range(block, keys.len())].iter();
-            morton::places(cube, keys.map(|key| key.halves().1 ^ prefix), places);
-        };
-        with_column!(column, values => self.put_values(column.ty(), values, &places, out));
+        let blocks = keys.chunks(BLOCK_POINTS).map(|keys| {
+            let mut places = Vec::new();
+            morton::places(cube, keys.iter().map(|key| key.halves().1 ^ prefix), &mut places);
+            BlockPasses { places, ..BlockPasses::default() }
+        });
+        let mut passes = Passes { blocks: blocks.collect() };
+        with_column!(column, values => self.put_values(column.ty(), values, Beside::Times(&mut passes), out));
+        Ok(passes)
+    }
+
+    /// The same for values of points whose passes are known: what is steady within a pass takes next to nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`CodecError::TooManyPoints`]; `out` is then as it was.
+    pub fn column_beside(&mut self, column: &Column, passes: &Passes, out: &mut Vec<u8>) -> Result<(), CodecError> {
+        put_head(CODEC, column.len(), out)?;
+        with_column!(column, values => self.put_values(column.ty(), values, Beside::Passes(passes), out));
         Ok(())
     }
 
@@ -84,7 +98,7 @@ impl Encoder {
         &mut self,
         ty: ScalarType,
         values: &[T],
-        places: &dyn Fn(usize, &mut Vec<Place>),
+        mut beside: Beside,
         out: &mut Vec<u8>,
     ) {
         if let Some(first) = values.first()
@@ -98,8 +112,7 @@ impl Encoder {
         self.blocks.clear();
         self.ends.clear();
         for (block, values) in values.chunks(BLOCK_POINTS).enumerate() {
-            let places = |out: &mut Vec<Place>| places(block, out);
-            put_block(&mut self.streams, &mut self.buffers, ty, values, &places, &mut self.blocks);
+            put_block(&mut self.streams, &mut self.buffers, ty, values, beside.block(block), &mut self.blocks);
             self.ends.push(self.blocks.len());
         }
         self.put_blocks(out);
@@ -138,7 +151,7 @@ impl<'a> ColumnChunk<'a> {
             return Err(CodecError::Type { expected: ty.word(), found });
         }
         let content = if kind & CONSTANT == 0 {
-            Content::Blocks(Directory::read(reader, count)?)
+            Content::Blocks(Directory::read(reader, block_count(count))?)
         } else {
             let bits = reader.uint(ty.size(), "constant value")?;
             reader.end("bytes after a constant value")?;
@@ -192,10 +205,8 @@ impl<'a> ColumnChunk<'a> {
             }
             Content::Blocks(directory) => {
                 let bytes = directory.block(block)?;
-                let places = |decoder: &mut Decoder| {
-                    self.positions.ok_or(CodecError::NoPositions)?.places(decoder, block)
-                };
-                with_column!(out, values => read_block(decoder, self.ty, bytes, count, &places, values))
+                let beside = self.positions.map(|positions| (positions, block));
+                with_column!(out, values => read_block(decoder, self.ty, bytes, count, beside, values))
             }
         }
     }

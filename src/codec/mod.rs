@@ -21,11 +21,13 @@ mod error;
 mod lines;
 mod morton;
 mod numbers;
+mod passes;
 mod position;
 mod ranked;
 mod reader;
 mod residual;
 mod scratch;
+mod steady;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -35,6 +37,7 @@ mod wide;
 pub use checksum::Checksum;
 pub use column::ColumnChunk;
 pub use error::CodecError;
+pub use passes::Passes;
 pub use position::PositionChunk;
 pub use scratch::{Decoder, Encoder};
 

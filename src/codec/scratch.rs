@@ -2,6 +2,7 @@
 
 use super::lines::{LineBuffers, LineScratch, Place};
 use super::ranked::RankBuffers;
+use super::steady::SteadyBuffers;
 use super::stream::{StreamReader, StreamWriter};
 
 /// Encodes chunks, one at a time; keep one per thread.
@@ -26,10 +27,12 @@ pub(super) struct Buffers {
     pub(super) bytes: Vec<u8>,
     /// For ranks.
     pub(super) rank: RankBuffers,
-    /// Where the points are, if that was asked for and is known.
-    pub(super) places: Vec<Place>,
     /// For lines.
     pub(super) lines: LineBuffers,
+    /// For what is steady within a pass.
+    pub(super) steady: SteadyBuffers,
+    /// The other bytes of a block, if two ways are tried.
+    pub(super) other: Vec<u8>,
     /// Symbols.
     pub(super) packed: Vec<u8>,
 }
@@ -48,6 +51,8 @@ pub struct Decoder {
     pub(super) table: Vec<u64>,
     /// Where the points are.
     pub(super) places: Vec<Place>,
+    /// The pass of each point.
+    pub(super) passes: Vec<u8>,
     /// For lines.
     pub(super) lines: LineScratch,
 }

@@ -2,7 +2,7 @@
 
 /// Sums of a fit `y = rates . x` over samples.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Fit {
+pub(in crate::codec) struct Fit {
     /// Sums of products of `x`: xx, xy, xz, yy, yz, zz.
     products: [f64; 6],
     /// Sums of products with `y`.
@@ -14,7 +14,7 @@ pub(super) struct Fit {
 
 impl Fit {
     #[inline]
-    pub(super) fn add(&mut self, x: [f64; 3], y: f64) {
+    pub(in crate::codec) fn add(&mut self, x: [f64; 3], y: f64) {
         let [a, b, c] = x;
         for (sum, product) in self.products.iter_mut().zip([a * a, a * b, a * c, b * b, b * c, c * c]) {
             *sum += product;
@@ -29,12 +29,18 @@ impl Fit {
     }
 
     /// The rates of `y = rates . x`.
-    pub(super) fn through_origin(&self) -> [f64; 3] {
+    pub(in crate::codec) fn through_origin(&self) -> [f64; 3] {
         solve(self.products, self.with)
     }
 
+    /// The constant of `y = rates . x + constant`.
+    pub(in crate::codec) fn constant(&self, rates: [f64; 3]) -> f64 {
+        let [a, b, c, y] = self.sums;
+        (y - a * rates[0] - b * rates[1] - c * rates[2]) / self.count.max(1.0)
+    }
+
     /// The rates of `y = rates . x + constant`.
-    pub(super) fn with_constant(&self) -> [f64; 3] {
+    pub(in crate::codec) fn with_constant(&self) -> [f64; 3] {
         let [a, b, c, y] = self.sums.map(|sum| sum / self.count.max(1.0));
         let [sa, sb, sc, _] = self.sums;
         let centre = [sa * a, sa * b, sa * c, sb * b, sb * c, sc * c];

@@ -1,7 +1,8 @@
 //! Blocks of times that follow from positions: an airborne scanner sweeps over the ground in lines.
 //!
 //! A *pass* is one flight over the block (or its sweeps of one direction): lines begin at a fixed period, and when in
-//! its line a point was measured is nearly a linear function of its position. So a point's pass is stored, its line as a
+//! its line a point was measured is nearly a linear function of its position. A point's pass is stored beside its
+//! position; so its line is stored as a
 //! difference from what the pass' last point and the way from there to here let expect, and its time within the line in
 //! pulses, as a difference from what the line's last point lets expect. `docs/format-codec.md`, kind 5, has all of it.
 //!
@@ -14,10 +15,13 @@ mod walk;
 
 use super::CodecError;
 use super::numbers::{unzigzag, zigzag};
+use super::passes::BlockPasses;
 use super::reader::{Reader, put_varint};
 use super::residual::{plan_all, put_residuals, read_residuals};
 use super::scratch::{Buffers, Decoder};
 use super::stream::StreamWriter;
+pub(super) use fit::Fit;
+pub(super) use walk::{MAX_PASSES, nearest};
 use walk::{Expected, MAX_LINES_PER_POINT, Model, ONE_PULSE, Walk};
 
 /// A position relative to a cube's low corner; the cube's exponent is at most 21.
@@ -39,7 +43,7 @@ const SAMPLE_SHARE: usize = 8;
 /// How far a block's points are off what is expected of them.
 #[derive(Debug, Default)]
 struct Off {
-    /// Pass and line of each point.
+    /// Lines, for each point.
     choices: Vec<u64>,
     /// Numbers, for the first point of each line.
     firsts: Vec<u64>,
@@ -62,7 +66,6 @@ impl Off {
         // Filled by place, since a push may have to grow.
         [&mut *firsts, &mut *pulses, &mut *rests].into_iter().for_each(|piece| piece.resize(places.len(), 0));
         let (mut first_count, mut other_count) = (0, 0);
-        let bits = model.pass_bits();
         walk.begin(model);
         choices.extend(places.iter().zip(numbers).zip(labels).map(|((&place, &number), &(pass, line))| {
             let Some(next) = walk.next(usize::from(pass), place) else { return 0 };
@@ -81,7 +84,7 @@ impl Off {
                 other_count += 1;
             }
             point.keep(offset);
-            zigzag(difference as u64) << bits | u64::from(pass)
+            zigzag(difference as u64)
         }));
         firsts.truncate(first_count);
         pulses.truncate(other_count);
@@ -104,11 +107,13 @@ fn pieces(pulse: u64) -> usize {
 pub(super) fn try_put(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
+    passes: &mut BlockPasses,
     head: impl Fn(&mut Vec<u8>),
     out: &mut Vec<u8>,
 ) -> bool {
-    let Buffers { values, places, lines, rank, .. } = buffers;
+    let Buffers { values, lines, rank, .. } = buffers;
     let LineBuffers { found, walk, off, piece } = lines;
+    let BlockPasses { count, of_point, places } = passes;
     if places.len() != values.len() || !found.find(rank.sorted(), places) {
         return false;
     }
@@ -127,6 +132,9 @@ pub(super) fn try_put(
     }
     found.set_pulse(pulse);
     off.fill(found.model(), walk, found.labels(), places, values);
+    of_point.clear();
+    of_point.extend(found.labels().iter().map(|label| label.0));
+    *count = found.model().passes();
     head(out);
     found.model().put(out);
     put_varint(off.firsts.len() as u64, out);
@@ -148,14 +156,14 @@ pub(super) struct LineScratch {
     pieces: [Vec<u64>; 4],
 }
 
-/// Reads the numbers of the points at `decoder.places`, up to the end of the block, into `decoder.values`, whose content
+/// Reads the numbers of the points at `decoder.places` in the passes `decoder.passes`, up to the end of the block, into `decoder.values`, whose content
 /// is replaced.
-pub(super) fn read(decoder: &mut Decoder, mut reader: Reader) -> Result<(), CodecError> {
+pub(super) fn read(decoder: &mut Decoder, mut reader: Reader, pass_count: usize) -> Result<(), CodecError> {
     const FIRSTS: &str = "first points of lines";
-    let Decoder { streams, values, places, lines, .. } = decoder;
+    let Decoder { streams, values, places, passes, lines, .. } = decoder;
     let LineScratch { model, walk, pieces: [choices, firsts, pulses, rests] } = lines;
     let count = places.len();
-    model.read(&mut reader, MAX_LINES_PER_POINT * count)?;
+    model.read(&mut reader, pass_count, MAX_LINES_PER_POINT * count)?;
     let found = reader.varint(FIRSTS)?;
     let first_count = usize::try_from(found).ok().filter(|n| (1..=count).contains(n));
     let first_count = first_count.ok_or(CodecError::Range { place: FIRSTS, found, limit: count as u64 })?;
@@ -171,16 +179,15 @@ pub(super) fn read(decoder: &mut Decoder, mut reader: Reader) -> Result<(), Code
     reader.end("bytes after the lines")?;
     rests.resize(count - first_count, 0);
     let (mut firsts, mut others) = (firsts.iter(), pulses.iter().zip(rests.iter()));
-    let bits = model.pass_bits();
     let outside = |place, found, limit: i64| CodecError::Range { place, found, limit: limit as u64 };
     values.clear();
     values.resize(count, 0);
     walk.begin(model);
-    for ((&place, &choice), value) in places.iter().zip(choices.iter()).zip(values) {
-        let pass = choice & ((1 << bits) - 1);
-        let next = walk.next(pass as usize, place);
-        let next = next.ok_or_else(|| outside("pass of a point", pass, model.passes() as i64 - 1))?;
-        let line = next.line().wrapping_add(unzigzag(choice >> bits) as i64);
+    let points = places.iter().zip(passes.iter());
+    for (((&place, &pass), &choice), value) in points.zip(choices.iter()).zip(values) {
+        let next = walk.next(usize::from(pass), place);
+        let next = next.ok_or_else(|| outside("pass of a point", pass.into(), model.passes() as i64 - 1))?;
+        let line = next.line().wrapping_add(unzigzag(choice) as i64);
         let lines = next.lines();
         let point = next.on(line).ok_or_else(|| outside("line of a point", line as u64, lines - 1))?;
         let Expected { from, pulses: mut ahead, first } = point.expected();

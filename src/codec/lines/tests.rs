@@ -26,22 +26,25 @@ fn flight(passes: u32, period: u64, pulse: f64, jitter: i32, seed: u64) -> Vec<(
     points
 }
 
-fn encode(points: &[(Place, u64)]) -> Option<Vec<u8>> {
+fn encode(points: &[(Place, u64)]) -> Option<(BlockPasses, Vec<u8>)> {
     let values: Vec<u64> = points.iter().map(|p| p.1).collect();
     let most = values.iter().copied().max().unwrap_or(0);
     if !is_sortable(most) {
         return None;
     }
-    let mut buffers = Buffers { values, places: points.iter().map(|p| p.0).collect(), ..Buffers::default() };
+    let mut buffers = Buffers { values, ..Buffers::default() };
+    let mut passes = BlockPasses { places: points.iter().map(|p| p.0).collect(), ..BlockPasses::default() };
     buffers.rank.sort(&buffers.values, most);
     let mut bytes = Vec::new();
-    try_put(&mut StreamWriter::default(), &mut buffers, |_| (), &mut bytes).then_some(bytes)
+    let found = try_put(&mut StreamWriter::default(), &mut buffers, &mut passes, |_| (), &mut bytes);
+    found.then_some((passes, bytes))
 }
 
-fn decode(points: &[(Place, u64)], bytes: &[u8]) -> Result<Vec<u64>, CodecError> {
+fn decode(points: &[(Place, u64)], passes: &BlockPasses, bytes: &[u8]) -> Result<Vec<u64>, CodecError> {
     let mut decoder = Decoder::new();
     decoder.places = points.iter().map(|p| p.0).collect();
-    read(&mut decoder, Reader::new(bytes)).map(|()| decoder.values)
+    decoder.passes = passes.of_point.clone();
+    read(&mut decoder, Reader::new(bytes), passes.count).map(|()| decoder.values)
 }
 
 proptest! {
@@ -54,8 +57,8 @@ proptest! {
         seed: u64,
     ) {
         let points = flight(passes, period, pulse, jitter, seed);
-        if let Some(bytes) = encode(&points) {
-            prop_assert_eq!(decode(&points, &bytes).unwrap(), points.iter().map(|p| p.1).collect::<Vec<_>>());
+        if let Some((passes, bytes)) = encode(&points) {
+            prop_assert_eq!(decode(&points, &passes, &bytes).unwrap(), points.iter().map(|p| p.1).collect::<Vec<_>>());
         }
     }
 
@@ -66,28 +69,28 @@ proptest! {
         shift in 0_u32..40,
     ) {
         let points: Vec<_> = places.into_iter().zip(numbers.iter().map(|n| n >> shift)).collect();
-        if let Some(bytes) = encode(&points) {
-            prop_assert_eq!(decode(&points, &bytes).unwrap(), points.iter().map(|p| p.1).collect::<Vec<_>>());
+        if let Some((passes, bytes)) = encode(&points) {
+            prop_assert_eq!(decode(&points, &passes, &bytes).unwrap(), points.iter().map(|p| p.1).collect::<Vec<_>>());
         }
     }
 
     #[test]
     fn damaged_lines_are_errors_or_other_numbers(at: prop::sample::Index, to: u8, seed: u64) {
         let points = flight(2, 50_000, 13.4, 2, seed);
-        let mut bytes = encode(&points).unwrap();
+        let (passes, mut bytes) = encode(&points).unwrap();
         let at = at.index(bytes.len());
         bytes[at] = to;
-        if let Ok(numbers) = decode(&points, &bytes) {
+        if let Ok(numbers) = decode(&points, &passes, &bytes) {
             prop_assert_eq!(numbers.len(), points.len());
         }
-        prop_assert!(decode(&points, &bytes[..at]).is_err());
+        prop_assert!(decode(&points, &passes, &bytes[..at]).is_err());
     }
 }
 
 #[test]
 fn a_steady_flight_takes_little() {
     let points = flight(2, 50_000, 13.4, 0, 1);
-    let bytes = encode(&points).expect("the flight has lines");
-    // As ranks, 11 bits a point and a table; the pass alone is one bit.
-    assert!(4 * bytes.len() < 3 * points.len(), "{} bytes for {} points", bytes.len(), points.len());
+    let (_, bytes) = encode(&points).expect("the flight has lines");
+    // As ranks, 11 bits a point and a table.
+    assert!(2 * bytes.len() < points.len(), "{} bytes for {} points", bytes.len(), points.len());
 }

@@ -7,7 +7,7 @@ use crate::codec::numbers::{unzigzag, zigzag};
 use crate::codec::reader::{Reader, put_varint};
 
 /// The most passes of a block.
-pub(super) const MAX_PASSES: usize = 32;
+pub(in crate::codec) const MAX_PASSES: usize = 32;
 
 /// The most lines of a block, of all passes together, for each of its points.
 pub(super) const MAX_LINES_PER_POINT: usize = 4;
@@ -56,7 +56,6 @@ pub(super) struct Model {
     /// Its reverse, for encoding.
     pulses_a_number: f64,
     passes: Vec<Pass>,
-    pass_bits: u32,
 }
 
 impl Model {
@@ -66,16 +65,10 @@ impl Model {
         self.pulses_a_number = ONE_PULSE as f64 / pulse as f64;
         self.passes.clear();
         self.passes.extend_from_slice(passes);
-        self.count();
-    }
-
-    fn count(&mut self) {
-        self.pass_bits = self.passes.len().next_power_of_two().ilog2();
     }
 
     pub(super) fn put(&self, out: &mut Vec<u8>) {
         put_varint(self.pulse, out);
-        out.push(self.passes.len() as u8);
         for pass in &self.passes {
             let Pass { start, period, lines, along, across } = *pass;
             put_varint(lines.into(), out);
@@ -84,22 +77,17 @@ impl Model {
         }
     }
 
-    /// The reverse of [`Model::put`].
-    pub(super) fn read(&mut self, reader: &mut Reader, max_lines: usize) -> Result<(), CodecError> {
+    /// The reverse of [`Model::put`], for so many passes.
+    pub(super) fn read(&mut self, reader: &mut Reader, passes: usize, max_lines: usize) -> Result<(), CodecError> {
         const PULSE: &str = "numbers a pulse";
-        const PASSES: &str = "passes";
         const LINES: &str = "lines of a pass";
         self.pulse = reader.varint(PULSE)?;
         if self.pulse < ONE_PULSE {
             return Err(CodecError::Range { place: PULSE, found: self.pulse, limit: u64::MAX });
         }
-        let count = usize::from(reader.u8(PASSES)?);
-        if !(1..=MAX_PASSES).contains(&count) {
-            return Err(CodecError::Range { place: PASSES, found: count as u64, limit: MAX_PASSES as u64 });
-        }
         self.passes.clear();
         let mut left = max_lines as u64;
-        for _ in 0..count {
+        for _ in 0..passes {
             let lines = reader.varint(LINES)?;
             if !(1..=left).contains(&lines) {
                 return Err(CodecError::Range { place: LINES, found: lines, limit: left });
@@ -112,7 +100,6 @@ impl Model {
             }
             self.passes.push(pass);
         }
-        self.count();
         Ok(())
     }
 
@@ -122,12 +109,6 @@ impl Model {
 
     pub(super) fn passes(&self) -> usize {
         self.passes.len()
-    }
-
-    /// Bits of a choice that tell the pass.
-    #[inline]
-    pub(super) fn pass_bits(&self) -> u32 {
-        self.pass_bits
     }
 
     /// The length of so many pulses.
@@ -145,7 +126,7 @@ impl Model {
 
 /// The nearest whole number; conversions are much faster than `f64::round`, a call where the processor may be old.
 #[inline]
-pub(super) fn nearest(value: f64) -> i64 {
+pub(in crate::codec) fn nearest(value: f64) -> i64 {
     (value + 0.5_f64.copysign(value)) as i64
 }
 

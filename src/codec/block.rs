@@ -143,7 +143,9 @@ pub(super) fn put_block<T: Value>(
     let most = step.quotient(greatest - least);
     let (times, passes) = match beside {
         BesideBlock::Times(found) => (Some(found), None),
-        BesideBlock::Passes(known) => (None, Some(known).filter(|known| known.count > 0)),
+        BesideBlock::Passes(known) => {
+            (None, Some(known).filter(|known| known.count > 0 && known.of_point.len() == block.len()))
+        }
         BesideBlock::Nothing => (None, None),
     };
     let head = |kind: Kind, out: &mut Vec<u8>| {
@@ -186,11 +188,10 @@ pub(super) fn put_block<T: Value>(
     {
         let Buffers { values, bytes, steady, other, .. } = buffers;
         other.clear();
-        let count = block.len();
         let tried = if most <= u64::from(u8::MAX) {
-            steady::try_put(streams, steady, passes, count, |i| u64::from(bytes[i]), plain, steady_head, other)
+            steady::try_put(streams, steady, passes, |i| u64::from(bytes[i]), plain, steady_head, other)
         } else {
-            steady::try_put(streams, steady, passes, count, |i| values[i], plain, steady_head, other)
+            steady::try_put(streams, steady, passes, |i| values[i], plain, steady_head, other)
         };
         if tried && other.len() < plain {
             out.truncate(start);
@@ -238,26 +239,30 @@ fn put_wide(
         dictionary::put(streams, &table, packed, out);
         return;
     }
-    let choice = numbers::choose(values.len(), most, |i| values[i]);
-    // Wide values that take many bits may be few different ones, or as jumbled as times are.
-    let rankable = most <= u64::from(u16::MAX) || choice.cost_bits > SORTED_ABOVE_BITS * values.len() as f32;
+    let count = values.len();
+    let wide = most > u64::from(u16::MAX) && ranked::is_sortable(most);
     let start = out.len();
-    let mut limit_bits = choice.cost_bits;
-    let mut lines = 0;
-    let mut found = None;
-    if rankable && most > u64::from(u16::MAX) && ranked::is_sortable(most) {
+    let (mut lines, mut found, mut sorted) = (0, None, false);
+    if let Some(times) = times
+        && wide
+    {
         buffers.rank.sort(&buffers.values, most);
-        if let Some(times) = times
-            && lines::try_put(streams, buffers, times, |out| head(Kind::Lines, out), out)
-        {
+        sorted = true;
+        if lines::try_put(streams, buffers, times, |out| head(Kind::Lines, out), out) {
             lines = out.len() - start;
-            limit_bits = limit_bits.min(8.0 * lines as f32);
-            found = Some(times);
-            if 8 * lines <= GOOD_LINES_BITS * buffers.values.len() {
+            if 8 * lines <= GOOD_LINES_BITS * count {
                 return;
             }
+            found = Some(times);
         }
     }
+    let choice = numbers::choose(count, most, |i| buffers.values[i]);
+    // Wide values that take many bits may be few different ones, or as jumbled as times are.
+    let rankable = most <= u64::from(u16::MAX) || choice.cost_bits > SORTED_ABOVE_BITS * count as f32;
+    if rankable && wide && !sorted {
+        buffers.rank.sort(&buffers.values, most);
+    }
+    let limit_bits = if lines > 0 { choice.cost_bits.min(8.0 * lines as f32) } else { choice.cost_bits };
     let ranked_head = |out: &mut Vec<u8>| head(Kind::Ranked, out);
     if rankable && ranked::try_put(streams, buffers, most, limit_bits, ranked_head, out) {
         out.drain(start..start + lines);

@@ -58,8 +58,9 @@ struct Seen {
 }
 
 impl SteadyBuffers {
-    /// Finds courses of `count` numbers; false if they are not estimated to take less than `limit_bytes`.
-    fn find(&mut self, passes: &BlockPasses, count: usize, number: impl Fn(usize) -> u64, limit_bytes: usize) -> bool {
+    /// Finds courses of a block's numbers; false if they are not estimated to take less than `limit_bytes`.
+    fn find(&mut self, passes: &BlockPasses, number: impl Fn(usize) -> u64, limit_bytes: usize) -> bool {
+        let count = passes.of_point.len();
         let mut seen = [Seen::default(); MAX_PASSES];
         let sample = || (0..count).step_by(STRIDE);
         for i in sample() {
@@ -138,18 +139,18 @@ fn put_course(Course { base, rates }: &Course, out: &mut Vec<u8>) {
     [base].into_iter().chain(rates).for_each(|v| put_varint(zigzag(*v as u64), out));
 }
 
-/// Appends `count` numbers to `out` after `head` if that is estimated to take less than `limit_bytes`.
+/// Appends the numbers of a block to `out` after `head` if that is estimated to take less than `limit_bytes`.
 pub(super) fn try_put(
     streams: &mut StreamWriter,
     buffers: &mut SteadyBuffers,
     passes: &BlockPasses,
-    count: usize,
     number: impl Fn(usize) -> u64,
     limit_bytes: usize,
     head: impl Fn(&mut Vec<u8>),
     out: &mut Vec<u8>,
 ) -> bool {
-    if passes.of_point.len() != count || !buffers.find(passes, count, &number, limit_bytes) {
+    let count = passes.of_point.len();
+    if !buffers.find(passes, &number, limit_bytes) {
         return false;
     }
     let mut off = std::mem::take(&mut buffers.off);

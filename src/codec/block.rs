@@ -121,6 +121,10 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
 /// Blocks that take less are not tried otherwise: one of so many bytes a point.
 const SMALL_SHARE: usize = 24;
 
+/// Nor are those that take more: one of so many bytes a point. Colours and intensities, whose decoding must not wait for
+/// positions, are never steady enough to be worth it.
+const LARGE_SHARE: usize = 2;
+
 /// Appends the block of `values`, of which there is at least one.
 pub(super) fn put_block<T: Value>(
     streams: &mut StreamWriter,
@@ -184,7 +188,7 @@ pub(super) fn put_block<T: Value>(
     let plain = out.len() - start;
     if let Some(passes) = passes
         && most <= u64::from(u16::MAX)
-        && plain > block.len() / SMALL_SHARE
+        && (block.len() / SMALL_SHARE + 1..=block.len() / LARGE_SHARE).contains(&plain)
     {
         let Buffers { values, bytes, steady, other, .. } = buffers;
         other.clear();

@@ -15,7 +15,7 @@ pub const APPLICATION_ID: i32 = 0x4573_6b72;
 const MIGRATIONS: &[&str] = &[include_str!("../../migrations/0001.sql")];
 
 /// Chosen by the overhead measured on real chunks (docs/format.md).
-const PAGE_BYTES: u32 = 4096;
+const PAGE_BYTES: u32 = 2048;
 
 /// How long SQLite waits for a lock of another process.
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);

@@ -9,13 +9,14 @@ use super::rows::{ChunkRow, pack};
 use super::shape::Relative;
 use super::writer::ChunkIds;
 use super::zones::{range_of_all, range_where};
-use crate::codec::{CodecError, Encoder};
+use crate::codec::{CodecError, Encoder, Passes};
 use crate::lattice::{Cube, LatticeBox, SortKey};
 use crate::octree;
 use crate::points::{Column, ScalarType};
 
-/// Columns shorter than this share a row: a row of its own costs about 60 bytes beside its content.
-pub const PACKED_BELOW_BYTES: usize = 256;
+/// Columns shorter than this share a row: a row of its own costs about 60 bytes beside its content, and leaves a part of
+/// a page empty (docs/format.md has what was measured).
+pub const PACKED_BELOW_BYTES: usize = 4096;
 
 /// Which attributes the points of each scan have, and how deep their colours are.
 #[derive(Clone, Debug, Default)]
@@ -24,6 +25,8 @@ pub struct ScanTable {
     scans: Vec<(ScanId, ScanFacts)>,
     /// The columns of red, green and blue: there may be one of each type.
     colors: [Vec<Slot>; 3],
+    /// The columns of times.
+    times: Vec<Slot>,
 }
 
 #[derive(Clone, Debug)]
@@ -40,7 +43,9 @@ impl ScanTable {
             let named = attributes.iter().filter(|a| a.attribute.name == name);
             named.filter(|a| matches!(a.attribute.ty, ScalarType::U8 | ScalarType::U16)).map(|a| a.id).collect()
         };
-        Self { scans: Vec::new(), colors: [of("Red"), of("Green"), of("Blue")] }
+        let times = attributes.iter().filter(|a| a.attribute.name == "GpsTime" && a.attribute.ty == ScalarType::F64);
+        let times = times.map(|a| a.id).collect();
+        Self { scans: Vec::new(), colors: [of("Red"), of("Green"), of("Blue")], times }
     }
 
     /// Adds a scan, or replaces what was said of it: its attributes, and the depth of its colours, 8 or 16.
@@ -147,34 +152,50 @@ pub fn encode_node<K: SortKey>(
     for (part, plan) in plan.into_iter().enumerate() {
         let whole = plan.points.len() == keys.len();
         let mut pieces: Vec<(Slot, Vec<u8>)> = Vec::with_capacity(columns.len() + 2);
-        let mut bytes = Vec::new();
-        if whole {
-            scratch.encoder.positions(cube, keys, &mut bytes)?;
+        let picked: Vec<K>;
+        let keys = if whole {
+            keys
         } else {
-            let picked: Vec<K> = plan.points.iter().map(|&i| keys[i as usize]).collect();
-            scratch.encoder.positions(cube, &picked, &mut bytes)?;
-        }
-        pieces.push((SLOT_POSITION, bytes));
+            picked = plan.points.iter().map(|&i| keys[i as usize]).collect();
+            &picked
+        };
         scratch.scans.clear();
         scratch.scans.extend(plan.points.iter().map(|&i| scans[i as usize]));
         let scan_column = Column::U32(std::mem::take(&mut scratch.scans));
-        let mut bytes = Vec::new();
-        scratch.encoder.column(&scan_column, &mut bytes)?;
-        pieces.push((SLOT_SCAN, bytes));
+        let mut scan_bytes = Vec::new();
+        scratch.encoder.column(&scan_column, &mut scan_bytes)?;
         let Column::U32(part_scans) = scan_column else { unreachable!("it was put in as one") };
         let present = count_scans(&part_scans);
         scratch.scans = part_scans;
+        let of_part = |column: &Column| {
+            let mut picked = Column::with_capacity(column.ty(), plan.points.len());
+            picked.extend_gathered(column, &plan.points);
+            picked
+        };
+        let is_there = |slot: Slot| present.iter().any(|c| table.has(c.scan, slot));
+        // Times come first: they show the passes, which positions carry and other columns are encoded by.
+        let times = sorted.iter().find(|c| table.times.contains(&c.0) && is_there(c.0));
+        let mut time_bytes = Vec::new();
+        let passes = match times {
+            Some((_, times)) if whole => scratch.encoder.times(times, cube, keys, &mut time_bytes)?,
+            Some((_, times)) => scratch.encoder.times(&of_part(times), cube, keys, &mut time_bytes)?,
+            None => Passes::default(),
+        };
+        let mut bytes = Vec::new();
+        scratch.encoder.positions_with(cube, keys, &passes, &mut bytes)?;
+        pieces.push((SLOT_POSITION, bytes));
+        pieces.push((SLOT_SCAN, scan_bytes));
         for (slot, column) in &sorted {
-            if !present.iter().any(|c| table.has(c.scan, *slot)) {
+            if !is_there(*slot) {
                 continue;
             }
             let mut bytes = Vec::new();
-            if whole {
-                scratch.encoder.column(column, &mut bytes)?;
+            if times.is_some_and(|times| times.0 == *slot) {
+                bytes = std::mem::take(&mut time_bytes);
+            } else if whole {
+                scratch.encoder.column_beside(column, &passes, &mut bytes)?;
             } else {
-                let mut picked = Column::with_capacity(column.ty(), plan.points.len());
-                picked.extend_gathered(column, &plan.points);
-                scratch.encoder.column(&picked, &mut bytes)?;
+                scratch.encoder.column_beside(&of_part(column), &passes, &mut bytes)?;
             }
             pieces.push((*slot, bytes));
         }
@@ -245,7 +266,7 @@ fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chun
     }
     if !small.is_empty() {
         let packed = pack(small.iter().map(|(slot, bytes)| (*slot, &bytes[..])));
-        head.parts[part].packed = small.iter().map(|s| s.0).collect();
+        head.parts[part].packed = small.iter().map(|(slot, bytes)| (*slot, bytes.len() as u32)).collect();
         head.parts[part].packed_bytes = packed.len() as u32;
         chunks.push(row(head.chunk_id(part, SLOT_PACKED), SLOT_PACKED, packed));
     }

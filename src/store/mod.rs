@@ -32,7 +32,7 @@ mod zones;
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
 pub use digest::{Digest, digest};
-pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, ScanTable, encode_node};
+pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, encode_node};
 pub use error::StoreError;
 pub use files::{SPILL_SUFFIX, spill_path};
 pub use flip::{Flip, NodeChange};

@@ -19,20 +19,22 @@ use std::sync::{Arc, Mutex};
 
 /// The payloads of `points`, which leave a bucket whose own node samples cells of exponent `cell`: in one block for each
 /// node that will store them, so that none keeps others' memory while it rises.
-fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], payloads: &Rows<'_>) -> Vec<Held> {
-    let group = |i: u32| wins[i as usize].max(cell);
-    let mut rows: BTreeMap<i8, Vec<u32>> = BTreeMap::new();
+fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], rows: &Rows<'_>) -> Vec<Held> {
+    // Wins are at most 48, and no smaller than `cell` here.
+    let group = |i: u32| (wins[i as usize].max(cell) - cell) as u8;
+    let mut grouped: [Vec<u32>; 256] = std::array::from_fn(|_| Vec::new());
     for &i in points {
-        rows.entry(group(i)).or_default().push(order[i as usize]);
+        grouped[usize::from(group(i))].push(order[i as usize]);
     }
-    let mut blocks: BTreeMap<i8, (Arc<Payloads>, u32)> =
-        rows.into_iter().map(|(group, rows)| (group, (Arc::new(payloads.picked(rows.into_iter())), 0))).collect();
-    let mut next = |i: u32| {
-        let (block, row) = blocks.get_mut(&group(i))?;
-        *row += 1;
-        Some((block.clone(), *row - 1))
+    let block = |of_group: Vec<u32>| (!of_group.is_empty()).then(|| Arc::new(rows.picked(of_group.into_iter())));
+    let blocks = grouped.map(block);
+    let mut next = [0_u32; 256];
+    let held = |&i: &u32| {
+        let group = usize::from(group(i));
+        next[group] += 1;
+        blocks[group].as_ref().map(|block| (block.clone(), next[group] - 1))
     };
-    points.iter().filter_map(|&i| next(i)).collect()
+    points.iter().filter_map(held).collect()
 }
 
 /// What does not change during a build.
@@ -179,9 +181,9 @@ fn split<K: RowKey>(
     }
     let mut counts = [0_u64; 8];
     let digit = cube.k() - 1;
-    let (first, last) = (cube.first_key(), cube.last_key());
+    let (first, last, of_bucket) = (cube.first_key(), cube.last_key(), bucket.cube.first_key());
     super::loaded::for_each_key::<K>(bucket, plan.scans, plan.spill, |key| {
-        if (first..=last).contains(&key.full(bucket.cube)) {
+        if (first..=last).contains(&key.full(of_bucket)) {
             counts[usize::from(key.digit(digit))] += 1;
         }
     })?;
@@ -269,10 +271,11 @@ impl<'a> Worker<'a> {
         }
         let held = held(&rest.points, wins, plan.params.cell(job.cube.k()), order, &rows);
         let mut item = held.into_iter();
+        let of_bucket = bucket.cube.first_key();
         let subtree = Subtree::from_bucket(job.cube, &rest, |i| {
             let i = i as usize;
             let item = item.next().unwrap_or_default();
-            Entry { key: keys[i].full(bucket.cube), win: wins[i], item }
+            Entry { key: keys[i].full(of_bucket), win: wins[i], item }
         });
         Ok(Some(subtree))
     }

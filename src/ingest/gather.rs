@@ -89,13 +89,20 @@ fn gather_one_scan<'r>(
         return;
     }
     let Scratch { payloads, varying, .. } = scratch;
-    copy_payloads(layout.payload, rows, payload, payloads, varying);
+    // Rows lie about in memory. Touched first, many of them are fetched at once.
+    std::hint::black_box(rows.iter().fold(0, |sum, &row| sum ^ payload(row).first().unwrap_or(&0)));
+    let bytes = rows.len() * layout.payload;
+    if payloads.len() < bytes {
+        payloads.resize(bytes, 0);
+    }
+    copy_payloads(layout.payload, rows, payload, &mut payloads[..bytes], varying);
+    let payloads = payloads[..bytes].chunks_exact(layout.payload);
     for field in 0..scan.slots.len() {
         let column = column_of(into, scan, field, start);
         if layout.varies(field, varying) {
-            layout.extract(field, payloads.chunks_exact(layout.payload), column);
+            layout.extract(field, payloads.clone(), column);
         } else {
-            layout.extract(field, payloads.chunks_exact(layout.payload).take(1), column);
+            layout.extract(field, payloads.clone().take(1), column);
             column.repeat_last(rows.len() - 1);
         }
     }
@@ -154,13 +161,13 @@ fn column_of<'c>(into: &'c mut PointColumns, scan: &ScanColumns<'_>, field: usiz
     column
 }
 
-/// Puts the payloads of `rows`, `bytes` each, one after the other into `to`, and into `varying` the bits in which they
+/// Puts the payloads of `rows`, `bytes` each, one after the other into `to`, which has their size, and into `varying` the bits in which they
 /// are not as the first.
 fn copy_payloads<'r>(
     bytes: usize,
     rows: &[u32],
     payload: impl Fn(u32) -> &'r [u8],
-    to: &mut Vec<u8>,
+    to: &mut [u8],
     varying: &mut Vec<u8>,
 ) {
     // Words of 8 bytes, of which the last two may overlap, and as many of them as the compiler knows: a call to copy so
@@ -179,14 +186,13 @@ fn copy_payloads<'r>(
     }
 }
 
-fn copy_bytes<'r>(rows: &[u32], payload: impl Fn(u32) -> &'r [u8], to: &mut Vec<u8>, varying: &mut Vec<u8>) {
+fn copy_bytes<'r>(rows: &[u32], payload: impl Fn(u32) -> &'r [u8], to: &mut [u8], varying: &mut Vec<u8>) {
     let first = payload(rows[0]);
-    to.clear();
     varying.clear();
     varying.resize(first.len(), 0);
-    for &row in rows {
+    for (to, &row) in to.chunks_exact_mut(first.len()).zip(rows) {
         let from = payload(row);
-        to.extend_from_slice(from);
+        to.copy_from_slice(from);
         varying.iter_mut().zip(from).zip(first).for_each(|((v, a), b)| *v |= a ^ b);
     }
 }
@@ -195,7 +201,7 @@ fn copy_words<'r, const WORDS: usize>(
     bytes: usize,
     rows: &[u32],
     payload: impl Fn(u32) -> &'r [u8],
-    to: &mut Vec<u8>,
+    to: &mut [u8],
     varying: &mut Vec<u8>,
 ) {
     let start = |word: usize| if word + 1 == WORDS { bytes - 8 } else { 8 * word };
@@ -208,8 +214,6 @@ fn copy_words<'r, const WORDS: usize>(
     };
     let first = words(payload(rows[0]));
     let mut differing = [0; WORDS];
-    // Of what is there already every byte is overwritten.
-    to.resize(rows.len() * bytes, 0);
     for (to, &row) in to.chunks_exact_mut(bytes).zip(rows) {
         let from = words(&payload(row)[..bytes]);
         for w in 0..WORDS {

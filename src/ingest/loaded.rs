@@ -157,7 +157,8 @@ pub(super) fn load<'a, K: RowKey>(
     let LoadScratch { spilled, segment: buffer, pairs, sorter, keys, order } = scratch;
     let all = rows == bucket.rows;
     let (first, last) = (cube.first_key(), cube.last_key());
-    let inside = |key: K| all || (first..=last).contains(&key.full(bucket.cube));
+    let of_bucket = bucket.cube.first_key();
+    let inside = |key: K| all || (first..=last).contains(&key.full(of_bucket));
     // What is read back may be cut to the cube at once; it is addressed when it no longer moves.
     spilled.clear();
     let mut read = Vec::new();

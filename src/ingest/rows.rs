@@ -1,6 +1,6 @@
 //! Rows: a sort key, then a record's payload. The form in which points wait for their node.
 
-use crate::lattice::{Cube, Key, LatticePoint, SortKey};
+use crate::lattice::{Key, LatticePoint, SortKey};
 
 /// A sort key with a fixed form in bytes.
 ///
@@ -11,12 +11,12 @@ pub(super) trait RowKey: SortKey + Default {
     const BYTES: usize;
     /// The key of a point.
     fn of(point: LatticePoint) -> Self;
-    /// Appends the key.
-    fn push(self, row: &mut Vec<u8>);
+    /// Puts the key at the start of a row of at least [`RowKey::BYTES`].
+    fn write(self, row: &mut [u8]);
     /// Reads the key at the start of a row of at least [`RowKey::BYTES`].
     fn read(row: &[u8]) -> Self;
-    /// The full key of a point with this key in `cube`.
-    fn full(self, cube: Cube) -> Key;
+    /// The full key of a point with this key in a cube whose first key is `first`.
+    fn full(self, first: Key) -> Key;
     /// The `bits` bits of the key below digit `k`: a bin number that keeps the order among the points of a cube of
     /// exponent `k`.
     fn bin(self, k: u8, bits: u32) -> usize;
@@ -33,8 +33,8 @@ impl RowKey for u64 {
     }
 
     #[inline]
-    fn push(self, row: &mut Vec<u8>) {
-        row.extend_from_slice(&self.to_le_bytes());
+    fn write(self, row: &mut [u8]) {
+        row[..8].copy_from_slice(&self.to_le_bytes());
     }
 
     #[inline]
@@ -45,8 +45,8 @@ impl RowKey for u64 {
     }
 
     #[inline]
-    fn full(self, cube: Cube) -> Key {
-        Key { high: cube.first_key().high, low: self }
+    fn full(self, first: Key) -> Key {
+        Key { high: first.high, low: self }
     }
 
     #[inline]
@@ -69,9 +69,9 @@ impl RowKey for Key {
         Key::of(point)
     }
 
-    fn push(self, row: &mut Vec<u8>) {
-        row.extend_from_slice(&self.high.to_le_bytes());
-        row.extend_from_slice(&self.low.to_le_bytes());
+    fn write(self, row: &mut [u8]) {
+        row[..16].copy_from_slice(&self.high.to_le_bytes());
+        row[16..24].copy_from_slice(&self.low.to_le_bytes());
     }
 
     fn read(row: &[u8]) -> Self {
@@ -81,7 +81,7 @@ impl RowKey for Key {
         Self { high: u128::from_le_bytes(high), low: u64::from_le_bytes(low) }
     }
 
-    fn full(self, _cube: Cube) -> Key {
+    fn full(self, _: Key) -> Key {
         self
     }
 
@@ -119,8 +119,10 @@ const FEW: usize = 64;
 const FIRST_BITS: u32 = 12;
 /// Bits of the digits after it.
 const DIGIT_BITS: u32 = 8;
-/// Digits after it: points that agree in all of them are few.
+/// Digits after it, at most.
 const DIGITS: usize = 3;
+/// So many pairs are sorted by insertion.
+const VERY_FEW: usize = 16;
 
 impl<K: RowKey> PairSorter<K> {
     /// Sorts pairs of one cube of exponent `k` by key: a scatter by the leading bits to bins that fit the first-level
@@ -168,8 +170,9 @@ fn sort_bin<K: RowKey>(bin: &mut [(K, u32)], other: &mut [(K, u32)], k: u8, know
         bin.sort_unstable_by_key(|p| p.0);
         return;
     }
-    // Digits from the finest on, each sort stable.
-    let digits = (bits.div_ceil(DIGIT_BITS) as usize).min(DIGITS);
+    // Digits from the finest on, each sort stable; so many that, on a surface, few pairs agree in all of them.
+    let telling = (3 * bin.len().ilog2() / 2 + 1).min(bits);
+    let digits = (telling.div_ceil(DIGIT_BITS) as usize).min(DIGITS);
     let lowest = bits.saturating_sub(DIGIT_BITS * digits as u32);
     let digit = |key: K, i: usize| key.bits_from(lowest + DIGIT_BITS * i as u32) as usize & ((1 << DIGIT_BITS) - 1);
     let mut counts = [[0_u32; 1 << DIGIT_BITS]; DIGITS];
@@ -199,16 +202,31 @@ fn sort_bin<K: RowKey>(bin: &mut [(K, u32)], other: &mut [(K, u32)], k: u8, know
     }
     if lowest > 0 {
         for run in bin.chunk_by_mut(|a, b| a.0.bits_from(lowest) == b.0.bits_from(lowest)) {
-            if run.len() > 1 {
+            if run.len() > VERY_FEW {
                 run.sort_unstable_by_key(|p| p.0);
+            } else {
+                sort_by_insertion(run);
             }
         }
+    }
+}
+
+fn sort_by_insertion<K: RowKey>(run: &mut [(K, u32)]) {
+    for end in 1..run.len() {
+        let pair = run[end];
+        let mut place = end;
+        while place > 0 && pair.0 < run[place - 1].0 {
+            run[place] = run[place - 1];
+            place -= 1;
+        }
+        run[place] = pair;
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::Cube;
     use proptest::prelude::*;
 
     proptest! {
@@ -235,7 +253,7 @@ mod tests {
             wide_sorter.sort(&mut wide, k);
             prop_assert!(narrow.len() == n && wide.len() == n);
             for i in 0..n {
-                prop_assert_eq!(narrow[i].0.full(cube), expected[i]);
+                prop_assert_eq!(narrow[i].0.full(cube.first_key()), expected[i]);
                 prop_assert_eq!(wide[i].0, expected[i]);
                 prop_assert_eq!(Key::of(points[narrow[i].1 as usize]), expected[i]);
             }

@@ -260,7 +260,7 @@ pub(super) fn describe<K: SortKey>(
         counts.into_iter().for_each(|count| add_count(&mut scans, count));
     }
     relative.fill(cube, keys);
-    let shape = Shape { color: color.mean(), ..relative.shape(cube) };
+    let shape = Shape { color: color.mean(), ..relative.shape() };
     Description { scans, bounds: relative.bounds(cube), shape, zones }
 }
 
@@ -290,9 +290,14 @@ fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chun
 /// How many points of each scan there are, ascending by scan.
 fn count_scans(scans: &[ScanId]) -> Vec<ScanCount> {
     let mut counts: Vec<ScanCount> = Vec::new();
-    for run in scans.chunk_by(|a, b| a == b) {
-        let n = run.len() as u64;
-        add_count(&mut counts, ScanCount { scan: run[0], own: n, subtree: n });
+    let mut add = |scan: ScanId, n: usize| add_count(&mut counts, ScanCount { scan, own: n as u64, subtree: n as u64 });
+    // In blocks, of which most are of one scan: so the compiler compares many at once.
+    for block in scans.chunks(256) {
+        if block.iter().fold(0, |d, scan| d | (scan ^ block[0])) == 0 {
+            add(block[0], block.len());
+        } else {
+            block.chunk_by(|a, b| a == b).for_each(|run| add(run[0], run.len()));
+        }
     }
     counts
 }

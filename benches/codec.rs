@@ -232,7 +232,9 @@ fn report(
                     values.resize(0);
                     let positions = &rows.get(&0).ok_or("positions come first")?.0[i];
                     let positions = PositionChunk::parse(positions, part.cube, part.keys.len())?;
-                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?.at(&positions).decode(&mut decoder, values)?;
+                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?
+                        .at(&positions)
+                        .decode(&mut decoder, values)?;
                 } else {
                     [&mut positions.x, &mut positions.y, &mut positions.z].into_iter().for_each(Vec::clear);
                     PositionChunk::parse(chunk, part.cube, part.keys.len())?.decode(&mut decoder, &mut positions)?;

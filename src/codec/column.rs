@@ -1,9 +1,9 @@
 //! Chunks of attributes.
 
 use super::block::{put_block, read_block};
+use super::directory::{Directory, put_head, read_head};
 use super::morton;
 use super::passes::{Beside, BlockPasses, Passes};
-use super::directory::{Directory, put_head, read_head};
 use super::reader::{Reader, put_uint};
 use super::value::Value;
 use super::{BLOCK_POINTS, CodecError, Decoder, Encoder, PositionChunk, block_count, block_range};
@@ -94,13 +94,7 @@ impl Encoder {
         Ok(())
     }
 
-    fn put_values<T: Value>(
-        &mut self,
-        ty: ScalarType,
-        values: &[T],
-        mut beside: Beside,
-        out: &mut Vec<u8>,
-    ) {
+    fn put_values<T: Value>(&mut self, ty: ScalarType, values: &[T], mut beside: Beside, out: &mut Vec<u8>) {
         if let Some(first) = values.first()
             && is_constant(values)
         {

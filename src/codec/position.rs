@@ -5,8 +5,8 @@
 //! go through [`wide`](super::wide).
 
 use super::directory::{Directory, put_head, read_head};
-use super::reader::{Reader, put_uint, put_varint};
 use super::passes::{self, Passes};
+use super::reader::{Reader, put_uint, put_varint};
 use super::residual::{plan_all, put_residuals, read_residuals};
 use super::{CodecError, Decoder, Encoder, block_count, block_range, morton, wide};
 use crate::lattice::{Cube, LOW_DIGITS, LatticeBox, LatticePoint, SortKey};

@@ -53,8 +53,7 @@ impl Fit {
 fn solve(products: [f64; 6], with: [f64; 3]) -> [f64; 3] {
     let [aa, ab, ac, bb, bc, cc] = products;
     let ridge = RIDGE * (aa + bb + cc) + f64::MIN_POSITIVE;
-    let mut rows =
-        [[aa + ridge, ab, ac, with[0]], [ab, bb + ridge, bc, with[1]], [ac, bc, cc + ridge, with[2]]];
+    let mut rows = [[aa + ridge, ab, ac, with[0]], [ab, bb + ridge, bc, with[1]], [ac, bc, cc + ridge, with[2]]];
     // The matrix is positive definite, so no pivot is needed.
     for i in 0..3 {
         for r in i + 1..3 {

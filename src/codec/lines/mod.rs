@@ -21,8 +21,8 @@ use super::residual::{plan_all, put_residuals, read_residuals};
 use super::scratch::{Buffers, Decoder};
 use super::stream::StreamWriter;
 pub(super) use fit::Fit;
-pub(super) use walk::{MAX_PASSES, nearest};
 use walk::{Expected, MAX_LINES_PER_POINT, Model, ONE_PULSE, Walk};
+pub(super) use walk::{MAX_PASSES, nearest};
 
 /// A position relative to a cube's low corner; the cube's exponent is at most 21.
 pub(super) type Place = [i32; 3];

@@ -10,4 +10,5 @@ mod histories;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;
+mod readers;
 mod support;

@@ -9,4 +9,5 @@ mod histories;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;
+mod poses;
 mod support;

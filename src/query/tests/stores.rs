@@ -99,15 +99,16 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
     let mut writer = store.writer().unwrap();
     let attributes = [
         Attribute::new("Classification", ScalarType::U8),
+        Attribute::new("code", ScalarType::U32),
+        // Before the height by name: of points on one position the number decides, as in the order of `Point`.
         Attribute::new("height", ScalarType::I16),
-        Attribute::new("id", ScalarType::U32),
     ];
     let slots = writer.add_attributes(&attributes).unwrap();
-    let &[class, height, id] = slots.as_slice() else { panic!("three attributes") };
+    let &[class, id, height] = slots.as_slice() else { panic!("three attributes") };
     assert_eq!((writer.reserve_scan(), writer.reserve_scan()), (1, 2));
     let mut table = ScanTable::new(writer.attributes());
     table.insert(1, &[class, id], None);
-    table.insert(2, &[class, height, id], None);
+    table.insert(2, &[class, id, height], None);
     let ids = writer.chunk_ids();
     let mut scratch = EncodeScratch::default();
     let (mut nodes, mut roots) = (Vec::new(), Vec::new());
@@ -148,7 +149,7 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
     let flip = Flip {
         scans_added: vec![
             scan(1, "north", vec![class, id], hidden != Some(1), &points),
-            scan(2, "roof", vec![class, height, id], hidden != Some(2), &points),
+            scan(2, "roof", vec![class, id, height], hidden != Some(2), &points),
         ],
         roots: Some(roots),
         nodes: NodeChange::ReplaceAll(nodes),

@@ -8,17 +8,34 @@ use crate::geometry::Pose;
 use crate::points::Crs;
 use e57::{E57Reader, PointCloud};
 use std::io::{self, Read, Seek, SeekFrom};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Bytes read at a time.
 const BUFFER_BYTES: usize = 1 << 18;
 /// Points decoded at a time.
 const RUN_POINTS: u64 = 4096;
 
+/// A file, and readers of it that nobody uses just now: each has looked through all of its XML.
+struct Opened {
+    file: Arc<SourceFile>,
+    idle: Mutex<Vec<Reader>>,
+}
+
+impl Opened {
+    fn reader(&self) -> Result<Reader, FormatError> {
+        let idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        idle.map_or_else(|| Reader::open(&self.file), Ok)
+    }
+
+    fn give_back(&self, reader: Reader) {
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(reader);
+    }
+}
+
 /// One scan of an open E57 file.
 struct E57Source {
-    file: Arc<SourceFile>,
+    opened: Arc<Opened>,
     info: SourceInfo,
     cloud: PointCloud,
     columns: Columns,
@@ -41,9 +58,10 @@ pub fn open(file: SourceFile) -> Result<Vec<Box<dyn PointSource>>, FormatError> 
     }
     let wkt = reader.e57.coordinate_metadata().filter(|text| text.contains('['));
     let crs = wkt.map(|text| Crs { wkt: Some(text.trim().to_owned()), ..Crs::default() });
+    let opened = Arc::new(Opened { file, idle: Mutex::new(vec![reader]) });
     let mut sources: Vec<Box<dyn PointSource>> = Vec::with_capacity(clouds.len());
     for (index, cloud) in (0..).zip(clouds) {
-        let mut source = E57Source::new(&file, index, cloud, xml)?;
+        let mut source = E57Source::new(&opened, index, cloud, xml)?;
         source.info.crs.clone_from(&crs);
         if index == 0 && pictures > 0 {
             source.info.warnings.push(format!("{pictures} pictures in the file are not kept"));
@@ -54,7 +72,8 @@ pub fn open(file: SourceFile) -> Result<Vec<Box<dyn PointSource>>, FormatError> 
 }
 
 impl E57Source {
-    fn new(file: &Arc<SourceFile>, index: u32, cloud: PointCloud, xml: u64) -> Result<Self, FormatError> {
+    fn new(opened: &Arc<Opened>, index: u32, cloud: PointCloud, xml: u64) -> Result<Self, FormatError> {
+        let file = &opened.file;
         let malformed =
             |expected: &str, found: String| file.malformed(xml, format!("{expected} of scan {index}"), found);
         let columns = Columns::new(&cloud.prototype).ok_or_else(|| {
@@ -82,7 +101,7 @@ impl E57Source {
         if columns.frame == Frame::Cartesian && found > 0 {
             info.bounds_hint = bounds(&cloud);
         }
-        Ok(Self { file: file.clone(), info, cloud, columns })
+        Ok(Self { opened: opened.clone(), info, cloud, columns })
     }
 }
 
@@ -115,11 +134,12 @@ impl PointSource for E57Source {
         if records == 0 {
             return Ok(tally);
         }
-        let Reader { mut e57, place } = Reader::open(&self.file)?;
+        let file = &*self.opened.file;
+        let Reader { mut e57, place } = self.opened.reader()?;
         let of = format!("the points of scan {}", self.info.index);
-        let failed = |error: &e57::Error| damage(&self.file, &place, &of, error);
+        let failed = |error: &e57::Error| damage(file, &place, &of, error);
         let broken = |message| FormatError::Decoder {
-            path: self.file.path().to_owned(),
+            path: file.path().to_owned(),
             offset: place.load(Ordering::Relaxed),
             message,
         };
@@ -135,7 +155,7 @@ impl PointSource for E57Source {
                     let values = values.map_err(|e| failed(&e))?;
                     self.columns.push(&values, &mut run).map_err(|OutOfLimits| {
                         let offset = place.load(Ordering::Relaxed);
-                        self.file.malformed(
+                        file.malformed(
                             offset,
                             format!("values of scan {} within their limits", self.info.index),
                             "others",
@@ -159,6 +179,8 @@ impl PointSource for E57Source {
                 break;
             }
         }
+        drop(points);
+        self.opened.give_back(Reader { e57, place });
         Ok(tally)
     }
 }

@@ -141,6 +141,30 @@ pub struct Survey {
     pub words: (usize, usize),
 }
 
+impl Survey {
+    /// What the next stretch of rows holds.
+    fn append(&mut self, part: Self) {
+        if part.rows > 0 {
+            self.words = (self.words.0.max(part.words.0), self.words.1.min(part.words.1));
+        }
+        // Columns that a row lacks are absent there.
+        if part.columns.len() > self.columns.len() {
+            let column = Column { absent: self.rows, ..Column::default() };
+            self.columns.resize(part.columns.len(), column);
+        }
+        for i in part.columns.len()..self.columns.len() {
+            self.columns[i].absent += part.rows;
+        }
+        for (column, other) in self.columns.iter_mut().zip(part.columns) {
+            column.merge(other);
+        }
+        self.rows += part.rows;
+        self.nothing += part.nothing;
+        self.cut |= part.cut;
+        self.chunks.extend(part.chunks);
+    }
+}
+
 /// Looks through the rows at `place`, on all threads.
 ///
 /// # Errors
@@ -148,33 +172,17 @@ pub struct Survey {
 /// [`FormatError::Malformed`] for a row whose coordinates are no numbers.
 pub fn survey(file: &SourceFile, place: &Place) -> Result<Survey, FormatError> {
     let starts: Vec<u64> = (place.start..place.end).step_by(CHUNK_BYTES as usize).collect();
-    let parts: Vec<Survey> = starts
-        .into_par_iter()
-        .map(|start| {
-            let begin = Lines::start_from(file, place.start, start)?;
-            chunk(file, place, begin, start.saturating_add(CHUNK_BYTES).min(place.end))
-        })
-        .collect::<Result<_, _>>()?;
     let mut whole = Survey { words: (0, usize::MAX), ..Survey::default() };
-    for part in parts {
-        if part.rows > 0 {
-            whole.words = (whole.words.0.max(part.words.0), whole.words.1.min(part.words.1));
-        }
-        // Columns that a row lacks are absent there.
-        if part.columns.len() > whole.columns.len() {
-            let column = Column { absent: whole.rows, ..Column::default() };
-            whole.columns.resize(part.columns.len(), column);
-        }
-        for i in part.columns.len()..whole.columns.len() {
-            whole.columns[i].absent += part.rows;
-        }
-        for (column, other) in whole.columns.iter_mut().zip(part.columns) {
-            column.merge(other);
-        }
-        whole.rows += part.rows;
-        whole.nothing += part.nothing;
-        whole.cut |= part.cut;
-        whole.chunks.extend(part.chunks);
+    // So many at a time: what is known of each must not add up in memory.
+    for starts in starts.chunks(1024) {
+        let parts: Vec<Survey> = starts
+            .par_iter()
+            .map(|&start| {
+                let begin = Lines::start_from(file, place.start, start)?;
+                chunk(file, place, begin, start.saturating_add(CHUNK_BYTES).min(place.end))
+            })
+            .collect::<Result<_, _>>()?;
+        parts.into_iter().for_each(|part| whole.append(part));
     }
     Ok(whole)
 }

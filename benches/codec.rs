@@ -7,7 +7,7 @@
 
 #![allow(missing_docs)]
 
-use esker::codec::{ColumnChunk, Decoder, Encoder, PositionChunk};
+use esker::codec::{ColumnChunk, Decoder, Encoder, Passes, PositionChunk};
 use esker::lattice::{BIAS, Cube, Key, LOW_DIGITS, LatticePoint, SortKey};
 use esker::points::{Attribute, Column, Field, FieldKind, PositionKind, Positions, RecordLayout, ScalarType};
 use std::collections::BTreeMap;
@@ -188,6 +188,14 @@ fn report(
     let per_point = |n: f64| n / count as f64;
     let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
     let mut rows: BTreeMap<usize, (Vec<Vec<u8>>, f64, f64)> = BTreeMap::new();
+    let times = attributes.iter().position(|a| a.name == "GpsTime");
+    let mut passes = Vec::new();
+    for part in parts {
+        passes.push(match times {
+            Some(a) => encoder.times(&part.columns[a], part.cube, &part.keys, &mut Vec::new())?,
+            None => Passes::default(),
+        });
+    }
     for column in 0..=attributes.len() {
         let (mut chunks, mut encode, mut decode) = (Vec::new(), f64::MAX, f64::MAX);
         // The system counts in steps of some milliseconds.
@@ -195,12 +203,19 @@ fn report(
         for _ in 0..RUNS {
             let mut chunk = Vec::new();
             let start = seconds();
-            for part in (0..repeats).flat_map(|_| parts) {
+            for i in (0..repeats).flat_map(|_| 0..parts.len()) {
+                let part = &parts[i];
                 chunk.clear();
+                let known = &passes[i];
                 match column.checked_sub(1) {
-                    None if part.cube.k() <= LOW_DIGITS => encoder.positions(part.cube, &part.low, &mut chunk)?,
-                    None => encoder.positions(part.cube, &part.keys, &mut chunk)?,
-                    Some(a) => encoder.column(&part.columns[a], &mut chunk)?,
+                    None if part.cube.k() <= LOW_DIGITS => {
+                        encoder.positions_with(part.cube, &part.low, known, &mut chunk)?;
+                    }
+                    None => encoder.positions_with(part.cube, &part.keys, known, &mut chunk)?,
+                    Some(a) if attributes[a].name == "GpsTime" => {
+                        encoder.times(&part.columns[a], part.cube, &part.keys, &mut chunk)?;
+                    }
+                    Some(a) => encoder.column_beside(&part.columns[a], known, &mut chunk)?,
                 }
                 if chunks.len() < parts.len() {
                     chunks.push(chunk.clone());
@@ -211,10 +226,15 @@ fn report(
             // One buffer for all, as a query has it.
             let mut positions = Positions::default();
             let mut values = column.checked_sub(1).map(|a| Column::zeros(attributes[a].ty, 0));
-            for (part, chunk) in (0..repeats).flat_map(|_| parts.iter().zip(&chunks)) {
+            for i in (0..repeats).flat_map(|_| 0..parts.len()) {
+                let (part, chunk) = (&parts[i], &chunks[i]);
                 if let Some(values) = &mut values {
                     values.resize(0);
-                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?.decode(&mut decoder, values)?;
+                    let positions = &rows.get(&0).ok_or("positions come first")?.0[i];
+                    let positions = PositionChunk::parse(positions, part.cube, part.keys.len())?;
+                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?
+                        .at(&positions)
+                        .decode(&mut decoder, values)?;
                 } else {
                     [&mut positions.x, &mut positions.y, &mut positions.z].into_iter().for_each(Vec::clear);
                     PositionChunk::parse(chunk, part.cube, part.keys.len())?.decode(&mut decoder, &mut positions)?;

@@ -4,13 +4,16 @@
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
 use super::dictionary;
+use super::lines;
 use super::numbers::{self, Numbers};
+use super::passes::{BesideBlock, BlockPasses};
 use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
 use super::scratch::Buffers;
+use super::steady;
 use super::stream::StreamWriter;
 use super::value::{Survey, Value};
-use super::{CodecError, Decoder};
+use super::{CodecError, Decoder, PositionChunk};
 use crate::points::ScalarType;
 
 /// How a block is written.
@@ -26,14 +29,22 @@ enum Kind {
     Numbers,
     /// `least`, `step`; all different `n` in order, and which of them each point has.
     Ranked,
+    /// `least`, `step`; how far the `n` are off what the points' positions let expect.
+    Lines,
+    /// `least`, `step`; how far the `n` are off what their passes let expect.
+    Steady,
 }
 
 impl Kind {
-    const ALL: [Self; 5] = [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked];
+    const ALL: [Self; 7] =
+        [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked, Self::Lines, Self::Steady];
 }
 
 /// Below so many bits a value, ranks of values beyond 16 bits are not tried: sorting costs more time than all else.
 const SORTED_ABOVE_BITS: f32 = 10.0;
+
+/// Lines that take so many bits a value or less are taken without trying ranks.
+const GOOD_LINES_BITS: usize = 12;
 
 /// Distances of which the step is guessed.
 const STEP_SAMPLE: usize = 64;
@@ -107,12 +118,16 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
     a
 }
 
+/// Blocks that take less are not tried otherwise: one of so many bytes a point.
+const SMALL_SHARE: usize = 24;
+
 /// Appends the block of `values`, of which there is at least one.
 pub(super) fn put_block<T: Value>(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
     ty: ScalarType,
     block: &[T],
+    beside: BesideBlock,
     out: &mut Vec<u8>,
 ) {
     let width = ty.size();
@@ -126,6 +141,11 @@ pub(super) fn put_block<T: Value>(
     let start = out.len();
     let step = Step::common(block, survey);
     let most = step.quotient(greatest - least);
+    let (times, passes) = match beside {
+        BesideBlock::Times(found) => (Some(found), None),
+        BesideBlock::Passes(known) => (None, Some(known).filter(|known| known.count > 0)),
+        BesideBlock::Nothing => (None, None),
+    };
     let head = |kind: Kind, out: &mut Vec<u8>| {
         out.push(kind as u8);
         put_uint(least, width, out);
@@ -146,7 +166,26 @@ pub(super) fn put_block<T: Value>(
         let numbers = &mut buffers.values;
         numbers.clear();
         numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least)));
-        put_wide(streams, buffers, most, head, out);
+        put_wide(streams, buffers, most, times, head, out);
+    }
+    let plain = out.len() - start;
+    if let Some(passes) = passes
+        && most <= u64::from(u16::MAX)
+        && plain > block.len() / SMALL_SHARE
+    {
+        let Buffers { values, bytes, steady, other, .. } = buffers;
+        other.clear();
+        let head = |out: &mut Vec<u8>| head(Kind::Steady, out);
+        let count = block.len();
+        let tried = if most <= u64::from(u8::MAX) {
+            steady::try_put(streams, steady, passes, count, |i| u64::from(bytes[i]), plain, head, other)
+        } else {
+            steady::try_put(streams, steady, passes, count, |i| values[i], plain, head, other)
+        };
+        if tried && other.len() < plain {
+            out.truncate(start);
+            out.extend_from_slice(other);
+        }
     }
     if out.len() - start > 1 + width * block.len() {
         out.truncate(start);
@@ -179,6 +218,7 @@ fn put_wide(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
     most: u64,
+    times: Option<&mut BlockPasses>,
     head: impl Fn(Kind, &mut Vec<u8>),
     out: &mut Vec<u8>,
 ) {
@@ -191,19 +231,47 @@ fn put_wide(
     let choice = numbers::choose(values.len(), most, |i| values[i]);
     // Wide values that take many bits may be few different ones, or as jumbled as times are.
     let rankable = most <= u64::from(u16::MAX) || choice.cost_bits > SORTED_ABOVE_BITS * values.len() as f32;
+    let start = out.len();
+    let mut limit_bits = choice.cost_bits;
+    let mut lines = 0;
+    let mut found = None;
+    if rankable && most > u64::from(u16::MAX) && ranked::is_sortable(most) {
+        buffers.rank.sort(&buffers.values, most);
+        if let Some(times) = times
+            && lines::try_put(streams, buffers, times, |out| head(Kind::Lines, out), out)
+        {
+            lines = out.len() - start;
+            limit_bits = limit_bits.min(8.0 * lines as f32);
+            found = Some(times);
+            if 8 * lines <= GOOD_LINES_BITS * buffers.values.len() {
+                return;
+            }
+        }
+    }
     let ranked_head = |out: &mut Vec<u8>| head(Kind::Ranked, out);
-    if !rankable || !ranked::try_put(streams, buffers, most, choice.cost_bits, ranked_head, out) {
+    if rankable && ranked::try_put(streams, buffers, most, limit_bits, ranked_head, out) {
+        out.drain(start..start + lines);
+    } else if lines == 0 || choice.cost_bits < 8.0 * lines as f32 {
+        out.truncate(start);
         head(Kind::Numbers, out);
         numbers::put(streams, &buffers.values, &mut buffers.packed, choice, out);
+    } else {
+        return;
+    }
+    // Passes that do not help times would hardly help others.
+    if let Some(found) = found {
+        found.count = 0;
     }
 }
 
-/// Appends the `count` values of a block to `out`, or nothing if there is an error.
+/// Appends the `count` values of a block to `out`, or nothing if there is an error. `beside` is where
+/// positions are, and which block of them.
 pub(super) fn read_block<T: Value>(
     decoder: &mut Decoder,
     ty: ScalarType,
     bytes: &[u8],
     count: usize,
+    beside: Option<(&PositionChunk, usize)>,
     out: &mut Vec<T>,
 ) -> Result<(), CodecError> {
     const KIND: &str = "kind of a block";
@@ -211,7 +279,7 @@ pub(super) fn read_block<T: Value>(
     let mut reader = Reader::new(bytes);
     let code = reader.u8(KIND)?;
     let kind = Kind::ALL.into_iter().find(|k| *k as u8 == code);
-    let limit = Kind::Ranked as u64;
+    let limit = Kind::Steady as u64;
     let kind = kind.ok_or(CodecError::Range { place: KIND, found: u64::from(code), limit })?;
     match kind {
         Kind::Constant => {
@@ -243,10 +311,24 @@ pub(super) fn read_block<T: Value>(
         }
         return Ok(());
     }
-    if kind == Kind::Dictionary {
-        dictionary::read(&mut decoder.streams, reader, &mut decoder.bytes, count, &mut decoder.values)?;
-    } else {
-        ranked::read(decoder, reader, count)?;
+    match kind {
+        Kind::Dictionary => {
+            dictionary::read(&mut decoder.streams, reader, &mut decoder.bytes, count, &mut decoder.values)?;
+        }
+        Kind::Ranked => ranked::read(decoder, reader, count)?,
+        _ => {
+            let (positions, block) = beside.ok_or(CodecError::NoPositions)?;
+            let passes = positions.passes(decoder, block)?;
+            if decoder.passes.len() != count {
+                return Err(CodecError::Count { expected: count, found: decoder.passes.len() as u64 });
+            }
+            if kind == Kind::Lines {
+                positions.places(decoder, block)?;
+                lines::read(decoder, reader, passes)?;
+            } else {
+                steady::read(decoder, reader, passes, |decoder| positions.places(decoder, block))?;
+            }
+        }
     }
     let found = decoder.values.iter().copied().max().unwrap_or(0);
     if found > limit {

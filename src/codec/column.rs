@@ -2,9 +2,12 @@
 
 use super::block::{put_block, read_block};
 use super::directory::{Directory, put_head, read_head};
+use super::morton;
+use super::passes::{Beside, BlockPasses, Passes};
 use super::reader::{Reader, put_uint};
 use super::value::Value;
-use super::{BLOCK_POINTS, CodecError, Decoder, Encoder, block_count, block_range};
+use super::{BLOCK_POINTS, CodecError, Decoder, Encoder, PositionChunk, block_count, block_range};
+use crate::lattice::{Cube, LOW_DIGITS, SortKey};
 use crate::points::{Column, ScalarType};
 use crate::with_column;
 
@@ -41,18 +44,57 @@ fn is_constant<T: Value>(values: &[T]) -> bool {
 }
 
 impl Encoder {
-    /// Appends the chunk of a column's values.
+    /// Appends the chunk of a column's values, which decode without positions.
     ///
     /// # Errors
     ///
     /// [`CodecError::TooManyPoints`]; `out` is then as it was.
     pub fn column(&mut self, column: &Column, out: &mut Vec<u8>) -> Result<(), CodecError> {
         put_head(CODEC, column.len(), out)?;
-        with_column!(column, values => self.put_values(column.ty(), values, out));
+        with_column!(column, values => self.put_values(column.ty(), values, Beside::Passes(&Passes::default()), out));
         Ok(())
     }
 
-    fn put_values<T: Value>(&mut self, ty: ScalarType, values: &[T], out: &mut Vec<u8>) {
+    /// The same for the times of points with these keys of `cube`, one for each, where they may follow from positions. Gives
+    /// the passes that they show, which positions and other columns are to be encoded with.
+    ///
+    /// # Errors
+    ///
+    /// [`CodecError::TooManyPoints`]; `out` is then as it was.
+    pub fn times<K: SortKey>(
+        &mut self,
+        column: &Column,
+        cube: Cube,
+        keys: &[K],
+        out: &mut Vec<u8>,
+    ) -> Result<Passes, CodecError> {
+        if cube.k() > LOW_DIGITS || keys.len() != column.len() {
+            return self.column(column, out).map(|()| Passes::default());
+        }
+        put_head(CODEC, column.len(), out)?;
+        let prefix = cube.first_key().low;
+        let blocks = keys.chunks(BLOCK_POINTS).map(|keys| {
+            let mut places = Vec::new();
+            morton::places(cube, keys.iter().map(|key| key.halves().1 ^ prefix), &mut places);
+            BlockPasses { places, ..BlockPasses::default() }
+        });
+        let mut passes = Passes { blocks: blocks.collect() };
+        with_column!(column, values => self.put_values(column.ty(), values, Beside::Times(&mut passes), out));
+        Ok(passes)
+    }
+
+    /// The same for values of points whose passes are known: what is steady within a pass takes next to nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`CodecError::TooManyPoints`]; `out` is then as it was.
+    pub fn column_beside(&mut self, column: &Column, passes: &Passes, out: &mut Vec<u8>) -> Result<(), CodecError> {
+        put_head(CODEC, column.len(), out)?;
+        with_column!(column, values => self.put_values(column.ty(), values, Beside::Passes(passes), out));
+        Ok(())
+    }
+
+    fn put_values<T: Value>(&mut self, ty: ScalarType, values: &[T], mut beside: Beside, out: &mut Vec<u8>) {
         if let Some(first) = values.first()
             && is_constant(values)
         {
@@ -63,8 +105,8 @@ impl Encoder {
         out.push(type_code(ty));
         self.blocks.clear();
         self.ends.clear();
-        for block in values.chunks(BLOCK_POINTS) {
-            put_block(&mut self.streams, &mut self.buffers, ty, block, &mut self.blocks);
+        for (block, values) in values.chunks(BLOCK_POINTS).enumerate() {
+            put_block(&mut self.streams, &mut self.buffers, ty, values, beside.block(block), &mut self.blocks);
             self.ends.push(self.blocks.len());
         }
         self.put_blocks(out);
@@ -77,6 +119,7 @@ pub struct ColumnChunk<'a> {
     ty: ScalarType,
     count: usize,
     content: Content<'a>,
+    positions: Option<&'a PositionChunk<'a>>,
 }
 
 #[derive(Clone, Debug)]
@@ -102,13 +145,19 @@ impl<'a> ColumnChunk<'a> {
             return Err(CodecError::Type { expected: ty.word(), found });
         }
         let content = if kind & CONSTANT == 0 {
-            Content::Blocks(Directory::read(reader, count)?)
+            Content::Blocks(Directory::read(reader, block_count(count))?)
         } else {
             let bits = reader.uint(ty.size(), "constant value")?;
             reader.end("bytes after a constant value")?;
             Content::Constant(bits)
         };
-        Ok(Self { ty, count, content })
+        Ok(Self { ty, count, content, positions: None })
+    }
+
+    /// Says where the positions of the same points are, which some blocks need.
+    #[must_use]
+    pub fn at(self, positions: &'a PositionChunk<'a>) -> Self {
+        Self { positions: Some(positions), ..self }
     }
 
     /// The number of values.
@@ -133,8 +182,8 @@ impl<'a> ColumnChunk<'a> {
     ///
     /// # Errors
     ///
-    /// [`CodecError`] if there is no such block, its bytes are not one, or `out` has another type; `out` is then as it
-    /// was.
+    /// [`CodecError`] if there is no such block, its bytes are not one, or `out` has another type;
+    /// [`CodecError::NoPositions`] if the block needs them. `out` is then as it was.
     pub fn decode_block(&self, decoder: &mut Decoder, block: usize, out: &mut Column) -> Result<(), CodecError> {
         if out.ty() != self.ty {
             return Err(CodecError::Type { expected: self.ty.word(), found: out.ty().word() });
@@ -150,7 +199,8 @@ impl<'a> ColumnChunk<'a> {
             }
             Content::Blocks(directory) => {
                 let bytes = directory.block(block)?;
-                with_column!(out, values => read_block(decoder, self.ty, bytes, count, values))
+                let beside = self.positions.map(|positions| (positions, block));
+                with_column!(out, values => read_block(decoder, self.ty, bytes, count, beside, values))
             }
         }
     }

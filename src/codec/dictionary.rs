@@ -18,7 +18,8 @@ fn index_bits(values: usize) -> u32 {
     match values {
         0..=2 => 1,
         3..=4 => 2,
-        _ => 4,
+        5..=MAX_VALUES => 4,
+        _ => 8,
     }
 }
 
@@ -76,7 +77,12 @@ pub(super) fn put(streams: &mut StreamWriter, table: &[u64], indices: &mut Vec<u
         put_varint(value - before, out);
         before = value;
     }
-    let bits = index_bits(table.len());
+    put_indices(streams, table.len(), indices, out);
+}
+
+/// Appends the stream of indices below `values`, which are packed in place.
+pub(super) fn put_indices(streams: &mut StreamWriter, values: usize, indices: &mut Vec<u8>, out: &mut Vec<u8>) {
+    let bits = index_bits(values);
     let per_byte = (8 / bits) as usize;
     if per_byte > 1 {
         let packed = indices.len().div_ceil(per_byte);
@@ -89,6 +95,36 @@ pub(super) fn put(streams: &mut StreamWriter, table: &[u64], indices: &mut Vec<u
         indices.truncate(packed);
     }
     streams.put(indices, out);
+}
+
+/// The reverse of [`put_indices`], for `count` indices: gives `each` of them, in order, and what fills the last byte;
+/// `packed` is for its use.
+pub(super) fn read_indices(
+    streams: &mut StreamReader,
+    mut reader: Reader,
+    values: usize,
+    count: usize,
+    packed: &mut Vec<u8>,
+    mut each: impl FnMut(u8),
+) -> Result<(), CodecError> {
+    let bits = index_bits(values);
+    let per_byte = (8 / bits) as usize;
+    streams.read(&mut reader, count.div_ceil(per_byte), packed)?;
+    reader.end("bytes after the indices")?;
+    let mask = u8::MAX >> (8 - bits);
+    let mut largest = 0;
+    for byte in packed.iter() {
+        for place in 0..per_byte {
+            let index = byte >> (place as u32 * bits) & mask;
+            largest = largest.max(index);
+            each(index);
+        }
+    }
+    if usize::from(largest) >= values {
+        let limit = values as u64 - 1;
+        return Err(CodecError::Range { place: "index of a value", found: u64::from(largest), limit });
+    }
+    Ok(())
 }
 
 /// Packs `N` indices into each byte, from the first on.
@@ -120,24 +156,10 @@ pub(super) fn read(
         before = before.checked_add(distance).ok_or(error)?;
         *value = before;
     }
-    let bits = index_bits(len);
-    let per_byte = (8 / bits) as usize;
-    streams.read(&mut reader, count.div_ceil(per_byte), indices)?;
-    reader.end("bytes after the indices")?;
-    let mask = (1_u8 << bits) - 1;
     out.clear();
-    let mut largest = 0;
-    for byte in indices.iter() {
-        for place in 0..per_byte {
-            let index = byte >> (place as u32 * bits) & mask;
-            largest = largest.max(index);
-            out.push(table[usize::from(index)]);
-        }
-    }
+    // A table has at most 16 values, and their indices at most 4 bits.
+    read_indices(streams, reader, len, count, indices, |index| out.push(table[usize::from(index)]))?;
     out.truncate(count);
-    if usize::from(largest) >= len {
-        return Err(CodecError::Range { place: "index of a value", found: u64::from(largest), limit: len as u64 - 1 });
-    }
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 //! The head is `codec u8, count varint`; the kind's own bytes follow, and then per block its length as a varint.
 
 use super::reader::{Reader, put_varint};
-use super::{CodecError, MAX_POINTS, block_count};
+use super::{CodecError, MAX_POINTS};
 
 /// Writes codec and count.
 pub(super) fn put_head(codec: u8, count: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
@@ -40,10 +40,9 @@ pub(super) struct Directory<'a> {
 }
 
 impl<'a> Directory<'a> {
-    /// Takes the lengths and then all bytes that are left; the blocks fill them exactly.
-    pub(super) fn read(mut reader: Reader<'a>, count: usize) -> Result<Self, CodecError> {
+    /// Takes the lengths of so many blocks and then all bytes that are left; the blocks fill them exactly.
+    pub(super) fn read(mut reader: Reader<'a>, blocks: usize) -> Result<Self, CodecError> {
         const PLACE: &str = "lengths of the blocks";
-        let blocks = block_count(count);
         let mut ends = Vec::with_capacity(blocks);
         let mut end = 0_usize;
         for _ in 0..blocks {
@@ -58,11 +57,6 @@ impl<'a> Directory<'a> {
             return Err(CodecError::Length { place: "blocks", expected: end, found: bytes.len() });
         }
         Ok(Self { ends, bytes })
-    }
-
-    /// The number of blocks.
-    pub(super) fn len(&self) -> usize {
-        self.ends.len()
     }
 
     /// The bytes of one block.

@@ -54,6 +54,9 @@ pub enum CodecError {
         /// How many there are.
         blocks: usize,
     },
+    /// Values that follow from positions, which were not given.
+    #[error("the positions are needed to decode these values")]
+    NoPositions,
     /// A number that is out of its range.
     #[error("{place}: {found} is beyond {limit}")]
     Range {

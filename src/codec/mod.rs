@@ -18,13 +18,16 @@ mod column;
 mod dictionary;
 mod directory;
 mod error;
+mod lines;
 mod morton;
 mod numbers;
+mod passes;
 mod position;
 mod ranked;
 mod reader;
 mod residual;
 mod scratch;
+mod steady;
 mod stream;
 #[cfg(test)]
 mod tests;
@@ -34,6 +37,7 @@ mod wide;
 pub use checksum::Checksum;
 pub use column::ColumnChunk;
 pub use error::CodecError;
+pub use passes::Passes;
 pub use position::PositionChunk;
 pub use scratch::{Decoder, Encoder};
 

@@ -1,5 +1,6 @@
 //! Many keys of one cube back to coordinates at once.
 
+use super::lines::Place;
 use crate::lattice::{Cube, LatticeBox, LatticePoint, PRIORITY_MASK};
 use crate::points::Positions;
 
@@ -15,6 +16,28 @@ pub(super) fn append_points(cube: Cube, keys: &[u64], out: &mut Positions) {
         column.extend(keys.iter().map(|key| (compact(key >> axis) & inside) ^ fixed));
     }
 }
+
+/// Where the points of a cube of exponent at most 21 with these keys are, relative to its low corner; replaces what `out`
+/// holds.
+pub(super) fn places(cube: Cube, keys: impl ExactSizeIterator<Item = u64>, out: &mut Vec<Place>) {
+    let inside = cube.side() - 1;
+    out.clear();
+    out.resize(keys.len(), Place::default());
+    // One axis after the other, so that the compiler takes several keys at a time.
+    let mut keys = keys;
+    for places in out.chunks_mut(LANES) {
+        let mut few = [0; LANES];
+        few.iter_mut().zip(&mut keys).for_each(|(few, key)| *few = key);
+        let axes: [[u64; LANES]; 3] =
+            std::array::from_fn(|axis| few.map(|key| (compact(key >> axis) ^ PRIORITY_MASK) & inside));
+        for (i, place) in places.iter_mut().enumerate() {
+            *place = [axes[0][i] as i32, axes[1][i] as i32, axes[2][i] as i32];
+        }
+    }
+}
+
+/// Keys taken at a time.
+const LANES: usize = 16;
 
 /// The tight bounds of the points of `cube`, of exponent at most 21, with these keys relative to the cube's first.
 ///
@@ -75,6 +98,11 @@ mod tests {
             append_points(cube, &keys, &mut positions);
             let naive: Vec<_> = keys.iter().map(|key| cube.point_of_low_key(prefix | key & inside)).collect();
             prop_assert_eq!(positions.iter().collect::<Vec<_>>(), &naive[..]);
+            let mut places = Vec::new();
+            super::places(cube, keys.iter().copied(), &mut places);
+            for (place, point) in places.iter().zip(&naive) {
+                prop_assert_eq!(place.map(|c| c as u64), std::array::from_fn(|i| point.0[i] - cube.low().0[i]));
+            }
             if let Some(first) = naive.first() {
                 let naive = naive.iter().fold(LatticeBox::of(*first), |b, p| b.with(*p));
                 let keys: Vec<_> = keys.iter().map(|key| key & inside).collect();

@@ -30,13 +30,13 @@ const RESIDUAL_PENALTY: f32 = 1.02;
 
 /// Small numbers of either sign as small numbers.
 #[inline]
-fn zigzag(difference: u64) -> u64 {
+pub(super) fn zigzag(difference: u64) -> u64 {
     (difference << 1) ^ ((difference as i64 >> 63) as u64)
 }
 
 /// The reverse of [`zigzag`].
 #[inline]
-fn unzigzag(residual: u64) -> u64 {
+pub(super) fn unzigzag(residual: u64) -> u64 {
     (residual >> 1) ^ (residual & 1).wrapping_neg()
 }
 

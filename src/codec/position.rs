@@ -5,6 +5,7 @@
 //! go through [`wide`](super::wide).
 
 use super::directory::{Directory, put_head, read_head};
+use super::passes::{self, Passes};
 use super::reader::{Reader, put_uint, put_varint};
 use super::residual::{plan_all, put_residuals, read_residuals};
 use super::{CodecError, Decoder, Encoder, block_count, block_range, morton, wide};
@@ -37,6 +38,21 @@ impl Encoder {
     /// [`CodecError::TooManyPoints`]; [`CodecError::Key`] if a key is smaller than the one before it or outside the
     /// cube. `out` is then as it was.
     pub fn positions<K: SortKey>(&mut self, cube: Cube, keys: &[K], out: &mut Vec<u8>) -> Result<(), CodecError> {
+        self.positions_with(cube, keys, &Passes::default(), out)
+    }
+
+    /// The same with the passes of the points, which columns encoded beside them need.
+    ///
+    /// # Errors
+    ///
+    /// As [`Encoder::positions`].
+    pub fn positions_with<K: SortKey>(
+        &mut self,
+        cube: Cube,
+        keys: &[K],
+        passes: &Passes,
+        out: &mut Vec<u8>,
+    ) -> Result<(), CodecError> {
         let mut head = Vec::with_capacity(64);
         put_head(CODEC, keys.len(), &mut head)?;
         self.blocks.clear();
@@ -60,6 +76,12 @@ impl Encoder {
                 for (c, low) in corner.0.iter().zip(cube.low().0) {
                     put_uint(c - low, coordinate_bytes(cube), &mut head);
                 }
+            }
+            self.ends.push(self.blocks.len());
+        }
+        for block in 0..block_count(keys.len()) {
+            if let Some(passes) = passes.blocks.get(block) {
+                passes.put(&mut self.streams, &mut self.buffers.packed, &mut self.blocks);
             }
             self.ends.push(self.blocks.len());
         }
@@ -133,7 +155,7 @@ impl<'a> PositionChunk<'a> {
             }
             bounds.push(LatticeBox { min, max });
         }
-        Ok(Self { cube, count, bounds, directory: Directory::read(reader, count)? })
+        Ok(Self { cube, count, bounds, directory: Directory::read(reader, 2 * block_count(count))? })
     }
 
     /// The number of points.
@@ -176,7 +198,7 @@ impl<'a> PositionChunk<'a> {
     /// As [`PositionChunk::decode_block`]; `out` then has the blocks before the damaged one.
     pub fn decode(&self, decoder: &mut Decoder, out: &mut Positions) -> Result<(), CodecError> {
         [&mut out.x, &mut out.y, &mut out.z].into_iter().for_each(|axis| axis.reserve(self.count));
-        (0..self.directory.len()).try_for_each(|block| self.decode_block(decoder, block, out))
+        (0..self.bounds.len()).try_for_each(|block| self.decode_block(decoder, block, out))
     }
 
     /// Appends the keys of one block, whole or truncated as the type has it.
@@ -214,10 +236,32 @@ impl<'a> PositionChunk<'a> {
     /// As [`PositionChunk::decode`].
     pub fn decode_keys<K: SortKey>(&self, decoder: &mut Decoder, out: &mut Vec<K>) -> Result<(), CodecError> {
         out.reserve(self.count);
-        (0..self.directory.len()).try_for_each(|block| self.decode_block_keys(decoder, block, out))
+        (0..self.bounds.len()).try_for_each(|block| self.decode_block_keys(decoder, block, out))
+    }
+
+    /// Decodes where the points of one block are into `decoder.places`.
+    pub(super) fn places(&self, decoder: &mut Decoder, block: usize) -> Result<(), CodecError> {
+        let (bytes, count) = self.block(block)?;
+        let (found, limit) = (u64::from(self.cube.k()), u64::from(LOW_DIGITS));
+        if found > limit {
+            return Err(CodecError::Range { place: "side of a cube with lines", found, limit });
+        }
+        self.read_narrow(decoder, bytes, count)?;
+        morton::places(self.cube, decoder.values.iter().copied(), &mut decoder.places);
+        Ok(())
+    }
+
+    /// Decodes the passes of the points of one block into `decoder.passes` and gives their number.
+    pub(super) fn passes(&self, decoder: &mut Decoder, block: usize) -> Result<usize, CodecError> {
+        let bytes = self.directory.block(self.bounds.len() + block)?;
+        let count = block_range(block, self.count).len();
+        passes::read(&mut decoder.streams, bytes, count, &mut decoder.bytes, &mut decoder.passes)
     }
 
     fn block(&self, block: usize) -> Result<(&'a [u8], usize), CodecError> {
+        if block >= self.bounds.len() {
+            return Err(CodecError::Block { block, blocks: self.bounds.len() });
+        }
         Ok((self.directory.block(block)?, block_range(block, self.count).len()))
     }
 

@@ -22,6 +22,26 @@ const DIGIT_BITS: u32 = 11;
 /// Values below this are ranked by a bitmap, which costs less than sorting.
 const BITMAP_BITS: u64 = 1 << 16;
 
+/// A number of at most 52 bits and its place in the block, in the order of the numbers.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Entry(u64);
+
+impl Entry {
+    fn new(number: u64, index: u64) -> Self {
+        Self(number << INDEX_BITS | index)
+    }
+
+    #[inline]
+    pub(super) fn number(self) -> i64 {
+        (self.0 >> INDEX_BITS) as i64
+    }
+
+    #[inline]
+    pub(super) fn index(self) -> usize {
+        (self.0 & ((1 << INDEX_BITS) - 1)) as usize
+    }
+}
+
 /// What ranking needs.
 #[derive(Debug, Default)]
 pub(super) struct RankBuffers {
@@ -29,9 +49,9 @@ pub(super) struct RankBuffers {
     table: Vec<u64>,
     /// The rank of each point's value.
     ranks: Vec<u16>,
-    /// Values and places.
-    sorted: Vec<u64>,
-    other: Vec<u64>,
+    /// Values and places, sorted.
+    sorted: Vec<Entry>,
+    other: Vec<Entry>,
     /// Which values there are.
     bitmap: Vec<u64>,
     /// The ranks of those.
@@ -71,20 +91,20 @@ impl RankBuffers {
         true
     }
 
-    /// Finds the table and the rank of each point, for values up to `most`.
-    fn rank_by_sorting(&mut self, values: &[u64], most: u64) {
-        let Self { table, ranks, sorted, other, .. } = self;
+    /// Sorts values up to `most`, of at most 52 bits.
+    pub(super) fn sort(&mut self, values: &[u64], most: u64) {
+        let Self { sorted, other, .. } = self;
         let bits = u64::BITS - most.leading_zeros();
         let digit_bits = bits.div_ceil(bits.div_ceil(DIGIT_BITS).max(1));
-        let digit = |entry: u64, shift: u32| (entry >> shift) as usize & ((1 << digit_bits) - 1) & (DIGITS - 1);
+        let digit = |entry: Entry, shift: u32| (entry.0 >> shift) as usize & ((1 << digit_bits) - 1) & (DIGITS - 1);
         let mut counts = [0_u16; DIGITS];
         sorted.clear();
         sorted.extend(values.iter().zip(0_u64..).map(|(v, i)| {
-            let entry = v << INDEX_BITS | i;
+            let entry = Entry::new(*v, i);
             counts[digit(entry, INDEX_BITS)] += 1;
             entry
         }));
-        other.resize(sorted.len(), 0);
+        other.resize(sorted.len(), Entry::default());
         // Lowest digit first; each pass keeps the order of the one before, and counts for the next.
         for shift in (INDEX_BITS..bits + INDEX_BITS).step_by(digit_bits as usize) {
             let mut places = counts;
@@ -99,19 +119,34 @@ impl RankBuffers {
             }
             std::mem::swap(sorted, other);
         }
+    }
+
+    /// What [`RankBuffers::sort`] sorted.
+    pub(super) fn sorted(&self) -> &[Entry] {
+        &self.sorted
+    }
+
+    /// Finds the table and the rank of each point of what is sorted.
+    fn rank_sorted(&mut self) {
+        let Self { table, ranks, sorted, .. } = self;
         ranks.clear();
-        ranks.resize(values.len(), 0);
+        ranks.resize(sorted.len(), 0);
         table.clear();
         let mut before = None;
         for &entry in sorted.iter() {
-            let value = entry >> INDEX_BITS;
+            let value = entry.number() as u64;
             if before != Some(value) {
                 table.push(value - before.unwrap_or(0));
                 before = Some(value);
             }
-            ranks[(entry & ((1 << INDEX_BITS) - 1)) as usize] = (table.len() - 1) as u16;
+            ranks[entry.index()] = (table.len() - 1) as u16;
         }
     }
+}
+
+/// Do numbers up to `most` fit beside their index?
+pub(super) fn is_sortable(most: u64) -> bool {
+    most >> (u64::BITS - INDEX_BITS) == 0
 }
 
 /// All digits of one pass.
@@ -121,7 +156,7 @@ const DIGITS: usize = 1 << DIGIT_BITS;
 const TABLE_BITS: u32 = 2;
 
 /// Appends `buffers.values`, the greatest of them `most`, after `head` if that is estimated to take less than
-/// `limit_bits`, and says if it did.
+/// `limit_bits`, and says if it did. Those above 16 bits must have been sorted.
 pub(super) fn try_put(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
@@ -139,8 +174,8 @@ pub(super) fn try_put(
         let greatest = ranking.table.len() as u64 - 1;
         let rank_of = &ranking.rank_of;
         choice = numbers::choose(values.len(), greatest, |i| u64::from(rank_of[values[i] as usize]));
-    } else if most >> (u64::BITS - INDEX_BITS) == 0 {
-        ranking.rank_by_sorting(values, most);
+    } else if is_sortable(most) {
+        ranking.rank_sorted();
         let greatest = ranking.table.len() as u64 - 1;
         choice = numbers::choose(values.len(), greatest, |i| u64::from(ranking.ranks[i]));
     } else {
@@ -168,7 +203,7 @@ pub(super) fn try_put(
 /// Reads `count` values, up to the end of the block, into `decoder.values`, whose content is replaced.
 pub(super) fn read(decoder: &mut Decoder, mut reader: Reader, count: usize) -> Result<(), CodecError> {
     const TABLE: &str = "table of values";
-    let Decoder { streams, bytes, values, table, wide } = decoder;
+    let Decoder { streams, bytes, values, table, wide, .. } = decoder;
     let found = reader.varint(TABLE)?;
     // A value that no point has would be of no use.
     let len = usize::try_from(found).ok().filter(|len| (1..=count).contains(len));
@@ -205,6 +240,7 @@ mod tests {
             let values: Vec<_> = (0..values.len()).map(|i| values[i / repeat] >> (64 - bits)).collect();
             let most = values.iter().copied().max().unwrap();
             let mut buffers = Buffers { values: values.clone(), ..Buffers::default() };
+            buffers.rank.sort(&values, most);
             let (mut bytes, mut writer) = (Vec::new(), StreamWriter::default());
             prop_assert!(try_put(&mut writer, &mut buffers, most, f32::INFINITY, |_| (), &mut bytes));
             let mut decoder = Decoder::new();

@@ -1,6 +1,8 @@
 //! What encoding and decoding keep from one chunk to the next: zstd's contexts and buffers of a block's size.
 
+use super::lines::{LineBuffers, LineScratch, Place};
 use super::ranked::RankBuffers;
+use super::steady::SteadyBuffers;
 use super::stream::{StreamReader, StreamWriter};
 
 /// Encodes chunks, one at a time; keep one per thread.
@@ -25,6 +27,12 @@ pub(super) struct Buffers {
     pub(super) bytes: Vec<u8>,
     /// For ranks.
     pub(super) rank: RankBuffers,
+    /// For lines.
+    pub(super) lines: LineBuffers,
+    /// For what is steady within a pass.
+    pub(super) steady: SteadyBuffers,
+    /// The other bytes of a block, if two ways are tried.
+    pub(super) other: Vec<u8>,
     /// Symbols.
     pub(super) packed: Vec<u8>,
 }
@@ -41,6 +49,12 @@ pub struct Decoder {
     pub(super) values: Vec<u64>,
     /// All different values.
     pub(super) table: Vec<u64>,
+    /// Where the points are.
+    pub(super) places: Vec<Place>,
+    /// The pass of each point.
+    pub(super) passes: Vec<u8>,
+    /// For lines.
+    pub(super) lines: LineScratch,
 }
 
 impl Encoder {

@@ -121,7 +121,7 @@ impl<'a> Part<'a> {
         let filter_columns = plan
             .filter_columns
             .iter()
-            .map(|&(slot, ty)| Ok((slot, ty, self.column(slot, ty)?)))
+            .map(|&(slot, ty)| Ok((slot, ty, self.column(slot, ty)?.map(|c| c.at(&positions)))))
             .collect::<Result<Vec<_>, QueryError>>()?;
         let needs_positions = plan.filter.as_ref().is_some_and(|f| f.needs_positions());
         let mut found = Vec::new();
@@ -221,7 +221,8 @@ impl<'a> Part<'a> {
     fn whole_with(&self, decoder: &mut Decoder) -> Result<Batch, QueryError> {
         let plan = self.plan;
         let mut batch = Batch::empty(plan.attributes.clone());
-        self.positions()?.decode(decoder, &mut batch.positions).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
+        let positions = self.positions()?;
+        positions.decode(decoder, &mut batch.positions).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
         let mut blocks = block_count(self.points) as u64;
         if plan.with_scans {
             let mut scans = Column::with_capacity(ScalarType::U32, self.points);
@@ -235,7 +236,7 @@ impl<'a> Part<'a> {
             match self.column(asked.id, asked.attribute.ty)? {
                 None => column.resize(self.points),
                 Some(chunk) => {
-                    chunk.decode(decoder, column).map_err(|e| self.damaged(asked.id, &e))?;
+                    chunk.at(&positions).decode(decoder, column).map_err(|e| self.damaged(asked.id, &e))?;
                     blocks += block_count(self.points) as u64;
                 }
             }
@@ -263,8 +264,12 @@ impl<'a> Part<'a> {
         batch.positions = Positions::with_capacity(count);
         batch.columns = plan.columns.iter().map(|c| Column::with_capacity(c.attribute.ty, count)).collect();
         let scans = plan.with_scans.then(|| self.scans()).transpose()?;
-        let chunks =
-            plan.columns.iter().map(|c| self.column(c.id, c.attribute.ty)).collect::<Result<Vec<_>, QueryError>>()?;
+        let positions = self.positions()?;
+        let chunks = plan
+            .columns
+            .iter()
+            .map(|c| Ok(self.column(c.id, c.attribute.ty)?.map(|c| c.at(&positions))))
+            .collect::<Result<Vec<_>, QueryError>>()?;
         for Found { block, content, mask } in found {
             if mask.is_none() {
                 continue;

@@ -37,7 +37,7 @@ pub fn decode_part(
     let name = |slot| RowName { head, part, slot };
     let facts = head.parts.get(part).ok_or_else(|| error(name(SLOT_PACKED).damage("the node has no such part")))?;
     let points = facts.points as usize;
-    let mut slots: Vec<Slot> = facts.chunks.iter().map(|c| c.0).chain(facts.packed.iter().copied()).collect();
+    let mut slots: Vec<Slot> = facts.chunks.iter().map(|c| c.0).chain(facts.packed.iter().map(|c| c.0)).collect();
     slots.sort_unstable();
     let bytes = snapshot.read_part(head, part, &slots, &mut ReadCost::default())?;
     let mut found = slots.iter().copied().zip(bytes);
@@ -49,14 +49,13 @@ pub fn decode_part(
     };
     let positions = next(SLOT_POSITION)?;
     let mut keys: Vec<Key> = Vec::new();
-    let chunk = PositionChunk::parse(&positions, head.cube, points);
-    let blocks = chunk
-        .and_then(|c| c.decode_keys(decoder, &mut keys).map(|()| c.blocks().to_vec()))
+    let positions = PositionChunk::parse(&positions, head.cube, points)
+        .and_then(|c| c.decode_keys(decoder, &mut keys).map(|()| c))
         .map_err(|e| error(name(SLOT_POSITION).damage(e.to_string())))?;
     let mut column = |slot: Slot, ty: ScalarType, bytes: &[u8]| {
         let mut column = Column::with_capacity(ty, 0);
         ColumnChunk::parse(bytes, ty, points)
-            .and_then(|c| c.decode(decoder, &mut column))
+            .and_then(|c| c.at(&positions).decode(decoder, &mut column))
             .map_err(|e| error(name(slot).damage(e.to_string())))?;
         Ok::<_, StoreError>(column)
     };
@@ -69,5 +68,5 @@ pub fn decode_part(
             snapshot.attribute(slot).ok_or_else(|| error(name(slot).damage("there is no such attribute")))?;
         columns.push((slot, column(slot, attribute.attribute.ty, &next(slot)?)?));
     }
-    Ok(DecodedPart { keys, blocks, scans, columns })
+    Ok(DecodedPart { keys, blocks: positions.blocks().to_vec(), scans, columns })
 }

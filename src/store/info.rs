@@ -25,8 +25,7 @@ pub struct Info {
     pub position_bytes: u64,
     /// Bytes of the scan ids' chunks.
     pub scan_bytes: u64,
-    /// Bytes of each attribute's chunks, ascending by slot; small columns as their share of the row that they have
-    /// together, divided evenly.
+    /// Bytes of each attribute's chunks, ascending by slot.
     pub attribute_bytes: Vec<(Slot, u64)>,
     /// Bytes of all encoded columns.
     pub chunk_bytes: u64,
@@ -64,13 +63,7 @@ pub fn info(snapshot: &Snapshot) -> Result<Info, StoreError> {
         info.levels = info.levels.max(u32::from(top - deepest) + 1);
     }
     for part in index.heads().iter().flat_map(|h| &h.parts) {
-        let shared = u64::from(part.packed_bytes);
-        let among = part.packed.len() as u64;
-        let packed = part.packed.iter().enumerate().map(|(i, &slot)| {
-            let i = i as u64;
-            (slot, shared * (i + 1) / among - shared * i / among)
-        });
-        for (slot, bytes) in part.chunks.iter().map(|&(s, b)| (s, u64::from(b))).chain(packed) {
+        for (slot, bytes) in part.chunks.iter().chain(&part.packed).map(|&(s, b)| (s, u64::from(b))) {
             info.chunk_bytes += bytes;
             match slot {
                 SLOT_POSITION => info.position_bytes += bytes,
@@ -82,7 +75,7 @@ pub fn info(snapshot: &Snapshot) -> Result<Info, StoreError> {
                 }
             }
         }
-        info.chunk_rows += part.chunks.len() as u64 + u64::from(among > 0);
+        info.chunk_rows += part.chunks.len() as u64 + u64::from(!part.packed.is_empty());
     }
     match &**snapshot.place() {
         Place::File(file) => {

@@ -126,8 +126,8 @@ pub struct PartHead {
     pub last_step: Option<Step>,
     /// Which columns have a chunk row of their own, with its length in bytes, ascending by slot.
     pub chunks: Vec<(Slot, u32)>,
-    /// Which columns share the part's packed row, ascending by slot; the row's length in bytes follows.
-    pub packed: Vec<Slot>,
+    /// Which columns share the part's packed row, each with its own length in bytes, ascending by slot.
+    pub packed: Vec<(Slot, u32)>,
     /// Length of the packed row; 0 if there is none.
     pub packed_bytes: u32,
 }

@@ -228,7 +228,7 @@ fn read_part(
             cost.rows += 1;
             cost.bytes += bytes.len() as u64;
             columns.push(Some(ChunkBytes { range: 0..bytes.len(), row: Arc::new(bytes) }));
-        } else if facts.packed.binary_search(&slot).is_ok() {
+        } else if facts.packed.binary_search_by_key(&slot, |c| c.0).is_ok() {
             let (row, directory) = match &packed {
                 Some(packed) => packed,
                 None => {
@@ -236,7 +236,7 @@ fn read_part(
                     cost.rows += 1;
                     cost.bytes += row.len() as u64;
                     let directory = rows::unpack(&row).map_err(|what| name(SLOT_PACKED).damage(what))?;
-                    if !directory.iter().map(|d| &d.0).eq(&facts.packed) {
+                    if !directory.iter().map(|d| (d.0, d.1.len() as u32)).eq(facts.packed.iter().copied()) {
                         return Err(name(SLOT_PACKED).damage("the columns are not those of the node's row"));
                     }
                     packed.insert((Arc::new(row), directory))

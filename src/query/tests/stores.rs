@@ -1,12 +1,12 @@
 //! Stores built from the naive tree, and points that know who they are.
 
 use crate::lattice::{BIAS, Cube, Exactness, Key, Lattice, LatticeBox, LatticePoint};
-use crate::octree::{Params, naive, wins};
+use crate::octree::{Params, naive, split, steps, wins};
 use crate::points::{Attribute, Column, ScalarType};
 use crate::store::model::{Rejected, Scan, ScanId, Slot};
 use crate::store::{
-    EncodeScratch, EncodedNode, Flip, NodeChange, NodeInput, ScanTable, SiteOptions, Snapshot, Store, Summary,
-    encode_node, merge_subtree,
+    EncodeScratch, EncodedNode, Flip, NodeChange, NodeInput, PointColumns, ScanTable, SiteOptions, Snapshot, Store,
+    Summary, encode_node, merge_subtree,
 };
 use proptest::prelude::*;
 use std::collections::HashMap;
@@ -128,15 +128,18 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
                 .fold(0, |m, o| m | 1 << o);
             let keys: Vec<Key> = own.iter().map(|p| p.key).collect();
             let wins: Vec<i8> = own.iter().map(|p| win_of[&p.id]).collect();
-            let scans: Vec<ScanId> = own.iter().map(|p| p.scan).collect();
-            let columns = [
-                (class, Column::U8(own.iter().map(|p| p.class).collect())),
-                (height, Column::I16(own.iter().map(|p| p.height.unwrap_or(0)).collect())),
-                (id, Column::U32(own.iter().map(|p| p.id).collect())),
-            ];
+            let columns = PointColumns {
+                scans: own.iter().map(|p| p.scan).collect(),
+                columns: vec![
+                    (class, Column::U8(own.iter().map(|p| p.class).collect())),
+                    (height, Column::I16(own.iter().map(|p| p.height.unwrap_or(0)).collect())),
+                    (id, Column::U32(own.iter().map(|p| p.id).collect())),
+                ],
+            };
             let layer = layer as u16;
-            let input =
-                NodeInput { layer, cube, leaf, children, keys: &keys, wins: &wins, scans: &scans, columns: &columns };
+            let plan = split(&wins, &steps(&keys, &wins));
+            let parts = columns.cut(&plan);
+            let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, parts: &parts };
             let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
             summaries.insert(cube, merge_subtree(&mut head, &mut zones, &below));
             writer.put_chunks(&chunks).unwrap();

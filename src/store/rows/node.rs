@@ -125,7 +125,10 @@ fn put_head(put: &mut Put, head: &NodeHead) {
             put.varint(bytes.into());
         }
         put.varint(part.packed.len() as u64);
-        part.packed.iter().for_each(|&s| put.varint(s.into()));
+        for &(slot, bytes) in &part.packed {
+            put.varint(slot.into());
+            put.varint(bytes.into());
+        }
         put.varint(part.packed_bytes.into());
     }
 }
@@ -200,12 +203,12 @@ fn take_part(take: &mut Take<'_>) -> Taken<PartHead> {
     for _ in 0..n {
         chunks.push((take.small()?, take.small()?));
     }
-    let n = take.count(1)?;
-    let mut packed: Vec<Slot> = Vec::with_capacity(n);
+    let n = take.count(2)?;
+    let mut packed: Vec<(Slot, u32)> = Vec::with_capacity(n);
     for _ in 0..n {
-        packed.push(take.small()?);
+        packed.push((take.small()?, take.small()?));
     }
-    if !chunks.is_sorted_by(|a, b| a.0 < b.0) || !packed.is_sorted_by(|a, b| a < b) {
+    if !chunks.is_sorted_by(|a, b| a.0 < b.0) || !packed.is_sorted_by(|a, b| a.0 < b.0) {
         return Err("a part's columns are not ascending".into());
     }
     Ok(PartHead { points, first_step, last_step, chunks, packed, packed_bytes: take.small()? })

@@ -5,7 +5,6 @@ use super::bulk::{Layer, Room, params};
 use super::change::{Edit, Ground, NewRows, change};
 use super::context::Context;
 use super::gather::ScanColumns;
-use super::identity::IDENTITY_POSE;
 use super::layers::{Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw};
 use super::measure::{WorldBounds, hinted_bounds};
 use super::partition::{Bucket, RowPlan, ScanTally};
@@ -205,7 +204,7 @@ fn scan_rows(
             source_bytes: source.bytes,
             identity: source.identity(content),
             time: now,
-            pose: IDENTITY_POSE,
+            pose: source.pose(),
             read: tally.read + tally.rejected.truncated,
             stored: tally.stored,
             rejected: tally.rejected,
@@ -254,7 +253,10 @@ fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
         ));
     }
     if tally.rejected.not_finite > 0 {
-        warnings.push(format!("{} points have a coordinate that is NaN or infinite", tally.rejected.not_finite));
+        warnings.push(format!(
+            "{} points have no valid position: a coordinate is NaN or infinite, or the scanner marked it so",
+            tally.rejected.not_finite
+        ));
     }
     ScanReport {
         name: scan.name.clone(),

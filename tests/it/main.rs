@@ -10,5 +10,6 @@ mod histories;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;
+mod poses;
 mod readers;
 mod support;

@@ -17,7 +17,7 @@ use super::stream::StreamWriter;
 const RATE_BITS: u32 = 20;
 
 /// Every so many points are looked at.
-const STRIDE: usize = 8;
+const STRIDE: usize = 16;
 
 /// The estimate must be so much better.
 const GAIN: f32 = 0.9;
@@ -101,7 +101,11 @@ impl SteadyBuffers {
             all |= *off;
             taken += 1;
         }
-        let cost = plan(&off[..taken], u64::BITS - all.leading_zeros(), count).cost_bits;
+        let mut cost = plan(&off[..taken], u64::BITS - all.leading_zeros(), count).cost_bits;
+        if all > 2 {
+            // No symbol takes less than a bit, unless nearly all are the same.
+            cost = cost.max(count as f32);
+        }
         cost < GAIN * 8.0 * limit_bytes as f32
     }
 
@@ -110,6 +114,31 @@ impl SteadyBuffers {
         let course = &self.courses[usize::from(passes.of_point[i])];
         zigzag((number as i64).wrapping_sub(course.at(passes.places[i])) as u64)
     }
+}
+
+/// Appends the numbers of a block to `out` after `head` if all of a pass are the same.
+pub(super) fn try_put_same(
+    streams: &mut StreamWriter,
+    passes: &BlockPasses,
+    number: impl Fn(usize) -> u64,
+    head: impl Fn(&mut Vec<u8>),
+    out: &mut Vec<u8>,
+) -> bool {
+    let mut common = [None; MAX_PASSES];
+    let mut points = passes.of_point.iter().enumerate();
+    if !points.all(|(i, pass)| *common[usize::from(*pass)].get_or_insert(number(i)) == number(i)) {
+        return false;
+    }
+    head(out);
+    for base in &common[..passes.count] {
+        put_course(&Course { base: base.unwrap_or(0) as i64, rates: [0; 3] }, out);
+    }
+    numbers::put_zeros(streams, passes.of_point.len(), out);
+    true
+}
+
+fn put_course(Course { base, rates }: &Course, out: &mut Vec<u8>) {
+    [base].into_iter().chain(rates).for_each(|v| put_varint(zigzag(*v as u64), out));
 }
 
 /// Appends `count` numbers to `out` after `head` if that is estimated to take less than `limit_bytes`.
@@ -130,9 +159,7 @@ pub(super) fn try_put(
     off.clear();
     off.extend((0..count).map(|i| buffers.off(passes, i, number(i))));
     head(out);
-    for Course { base, rates } in &buffers.courses {
-        [base].into_iter().chain(rates).for_each(|v| put_varint(zigzag(*v as u64), out));
-    }
+    buffers.courses.iter().for_each(|course| put_course(course, out));
     let most = off.iter().copied().max().unwrap_or(0);
     let choice = numbers::choose(count, most, |i| off[i]);
     numbers::put(streams, &off, &mut buffers.packed, choice, out);

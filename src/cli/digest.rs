@@ -1,7 +1,8 @@
 //! `esker digest`: two hashes of what a store holds.
 
-use super::{Outcome, output};
-use crate::store::{Store, digest};
+use super::progress::Shown;
+use super::{Outcome, changing::Changing, output};
+use crate::ingest::digest;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -14,11 +15,15 @@ use std::path::PathBuf;
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
+    #[command(flatten)]
+    changing: Changing,
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
-    let store = Store::open(&arguments.store)?;
-    let digest = digest(&store.snapshot()?)?;
+    let shown = Shown::new(arguments.changing.progress);
+    let result = digest(&arguments.store, &arguments.changing.resources(), &shown);
+    shown.clear();
+    let digest = result?;
     output::line(format_args!("points {}", digest.points))?;
     output::line(format_args!("scans {}", digest.scans))?;
     Ok(Outcome::Done)

@@ -53,6 +53,9 @@ pub(super) struct Arguments {
     /// Look for point files in folders below, too.
     #[arg(long)]
     recursive: bool,
+    /// Wait while another process is writing to the store, instead of failing.
+    #[arg(long)]
+    wait: bool,
     /// Truncated files are errors; rejected points end the command with exit code 3.
     #[arg(long)]
     strict: bool,
@@ -83,20 +86,14 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         name: arguments.name,
         recursive: arguments.recursive,
         strict: arguments.strict,
+        wait: arguments.wait,
         ..IngestOptions::default()
     };
     let shown = Shown::new(arguments.progress);
     let result = ingest(&arguments.store, &arguments.inputs, &options, &shown);
     shown.clear();
     let report = result?;
-    for note in &report.notes {
-        eprintln!("esker: {}", output::clean(note));
-    }
-    for scan in &report.scans {
-        for warning in &scan.warnings {
-            eprintln!("esker: {}: {}", output::clean(&scan.name), output::clean(warning));
-        }
-    }
+    tell(&report);
     if arguments.json {
         output::json(&serde_json::to_value(&report).context("the report as JSON")?)?;
     } else {
@@ -106,7 +103,20 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     Ok(if arguments.strict && rejected { Outcome::Rejected } else { Outcome::Done })
 }
 
-fn print(report: &Report) -> std::io::Result<()> {
+/// Notes and warnings, on stderr.
+pub(super) fn tell(report: &Report) {
+    for note in &report.notes {
+        eprintln!("esker: {}", output::clean(note));
+    }
+    for scan in &report.scans {
+        for warning in &scan.warnings {
+            eprintln!("esker: {}: {}", output::clean(&scan.name), output::clean(warning));
+        }
+    }
+}
+
+/// What was kept or lost, in lines on stdout.
+pub(super) fn print(report: &Report) -> std::io::Result<()> {
     for scan in &report.scans {
         let error = match scan.max_error {
             e if e > 0.0 => format!(", off by at most {e:.3e}"),

@@ -1,19 +1,25 @@
 //! The command line: one file per command. Data on stdout, words on stderr; exit codes 0 ok, 1 error, 2 usage,
 //! 3 finished with rejected points under `--strict`, 130 interrupted.
 
+mod changing;
+mod compact;
 mod digest;
 mod generate;
 mod info;
 mod ingest;
+mod merge;
 mod output;
 mod output_plan;
 mod progress;
 mod query;
+mod remove;
 #[cfg(feature = "render")]
 mod render;
+mod replace;
 mod scans;
 mod values;
 mod verify;
+mod visibility;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -50,6 +56,12 @@ struct Arguments {
 enum Command {
     Ingest(ingest::Arguments),
     Scans(scans::Arguments),
+    Remove(remove::Arguments),
+    Replace(replace::Arguments),
+    Show(visibility::Show),
+    Hide(visibility::Hide),
+    Compact(compact::Arguments),
+    Merge(merge::Arguments),
     Info(info::Arguments),
     Query(query::Arguments),
     #[cfg(feature = "render")]
@@ -67,6 +79,12 @@ pub fn main() -> ExitCode {
     let result = match arguments.command {
         Command::Ingest(a) => ingest::run(a),
         Command::Scans(a) => scans::run(&a),
+        Command::Remove(a) => remove::run(&a),
+        Command::Replace(a) => replace::run(a),
+        Command::Show(a) => visibility::show(&a),
+        Command::Hide(a) => visibility::hide(&a),
+        Command::Compact(a) => compact::run(&a),
+        Command::Merge(a) => merge::run(&a),
         Command::Info(a) => info::run(&a),
         Command::Query(a) => query::run(&a),
         #[cfg(feature = "render")]

@@ -9,10 +9,11 @@ use super::progress::Progress;
 use super::rows::RowKey;
 use super::spill::Spill;
 use crate::lattice::Cube;
-use crate::lattice::SortKey;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{self, Params, first_win, put_wins};
-use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, PointColumns, ScanTable, encode_node};
+use crate::store::{
+    ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, PointColumns, ScanTable, encode_node,
+};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -40,6 +41,7 @@ fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], rows: &Rows<'_>) -
 /// What does not change during a build.
 pub(super) struct Plan<'a> {
     pub params: Params,
+    pub layer: u16,
     pub root: Cube,
     pub scans: &'a [ScanColumns<'a>],
     pub table: &'a ScanTable,
@@ -50,7 +52,16 @@ pub(super) struct Plan<'a> {
     pub threads: usize,
     pub progress: &'a dyn Progress,
     /// Takes finished nodes, from any thread.
-    pub sink: &'a (dyn Fn(EncodedNode) -> Result<(), IngestError> + Sync),
+    pub sink: Sink<'a>,
+}
+
+/// In which form nodes are wanted.
+#[derive(Clone, Copy)]
+pub(super) enum Sink<'a> {
+    /// Encoded.
+    Encoded(&'a (dyn Fn(EncodedNode) -> Result<(), IngestError> + Sync)),
+    /// As they are: cube, leaf or not, points.
+    Content(&'a (dyn Fn(Cube, bool, DecodedPart) -> Result<(), IngestError> + Sync)),
 }
 
 /// A cube's worth of work.
@@ -296,14 +307,25 @@ impl<'a> Worker<'a> {
         Ok(())
     }
 
-    /// Encodes a node and gives it to the sink; `row` gives the scan slot and the payload of a row.
-    fn encode<'r, K: SortKey>(
+    /// Gives a node to the sink; `row` gives the scan slot and the payload of a row.
+    fn encode<'r, K: RowKey>(
         &mut self,
         NodeFrame { cube, leaf, children }: NodeFrame,
         own: &NodeScratch<K>,
         row: impl Fn(u32) -> (u32, &'r [u8]),
     ) -> Result<(), IngestError> {
         let NodeScratch { keys, wins, rows } = own;
+        let sink = match self.plan.sink {
+            Sink::Encoded(sink) => sink,
+            Sink::Content(sink) => {
+                let mut columns = PointColumns::default();
+                gather(self.plan.scans, rows, row, &mut self.gather, &mut columns);
+                let first = cube.first_key();
+                let keys = keys.iter().map(|key| key.full(first)).collect();
+                let PointColumns { scans, columns } = columns;
+                return sink(cube, leaf, DecodedPart { keys, blocks: Vec::new(), scans, columns });
+            }
+        };
         let cut = octree::split(wins, &octree::steps(keys, wins));
         self.columns.resize_with(cut.len().max(self.columns.len()), PointColumns::default);
         let parts = &mut self.columns[..cut.len()];
@@ -312,14 +334,15 @@ impl<'a> Worker<'a> {
             self.part_rows.extend(part.points.iter().map(|&i| rows[i as usize]));
             gather(self.plan.scans, &self.part_rows, &row, &mut self.gather, columns);
         }
-        let input = NodeInput { layer: 0, cube, leaf, children, keys, plan: &cut, parts };
+        let layer = self.plan.layer;
+        let input = NodeInput { layer, cube, leaf, children, keys, plan: &cut, parts };
         let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
             .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
-        (self.plan.sink)(encoded)
+        sink(encoded)
     }
 }
 
-impl<K: SortKey> NodeScratch<K> {
+impl<K: RowKey> NodeScratch<K> {
     /// Takes the bucket's points with these indices.
     fn fill(&mut self, points: &[u32], keys: &[K], wins: &[i8], order: &[u32]) {
         self.keys.clear();

@@ -28,6 +28,35 @@ pub enum IngestError {
     /// A scan of this name is there.
     #[error("the store has a scan named '{0}' from another source; give another --name")]
     NameTaken(String),
+    /// There is no such scan.
+    #[error("the store has no scan '{wanted}'{nearest}; `esker scans` lists them")]
+    NoScan {
+        /// What was asked for.
+        wanted: String,
+        /// A name that is nearly it, in words.
+        nearest: String,
+    },
+    /// A store to be made is there already.
+    #[error("{0} is there already; give the name of a new store")]
+    OutputThere(PathBuf),
+    /// A compact copy could not be given its name.
+    #[error("{path}: naming the copy: {source}")]
+    Copy {
+        /// The name.
+        path: PathBuf,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// Stores that can't be joined.
+    #[error("{path} can't be joined with {first}: {why}")]
+    NotAlike {
+        /// The first store.
+        first: PathBuf,
+        /// Another.
+        path: PathBuf,
+        /// What is different, and what to do.
+        why: String,
+    },
     /// Two coordinate reference systems.
     #[error(
         "{path}: its CRS is {found}, the site's is {expected}; reproject it first, or --ignore-crs to take its numbers as they are"

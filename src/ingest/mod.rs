@@ -4,17 +4,24 @@
 //! buckets are built into nodes, nodes are encoded and written, and one small transaction makes them the store's
 //! content. Until then the store is what it was.
 //!
-//! Points that the store has already go the same way again, so that the tree is the canonical one whatever the order of
-//! scans.
+//! A store that has scans already takes new ones at the cost of what they touch: into the tree that is there, or into a
+//! layer of their own ([`layers`]). The tree is the canonical one whatever the order of scans.
 
+mod batch;
 mod budget;
 mod build;
+mod bulk;
+mod change;
+mod context;
+mod edit;
 mod error;
-mod existing;
 mod gather;
 mod identity;
 mod lattice_choice;
+mod layers;
 mod loaded;
+mod measure;
+mod merge;
 mod naming;
 mod partition;
 mod progress;
@@ -24,10 +31,14 @@ mod rows;
 mod run;
 mod sources;
 mod spill;
+mod stored;
 mod subtrees;
 
+pub use context::Resources;
+pub use edit::{Compacted, Removed, compact, digest, remove, replace, set_visible};
 pub use error::IngestError;
 pub use lattice_choice::LatticeWish;
+pub use merge::{Merged, merge};
 pub use progress::{Progress, Stage};
 pub use report::{Report, ScanReport, Skipped, StageReport};
 pub use run::ingest;
@@ -54,6 +65,8 @@ pub struct IngestOptions {
     pub recursive: bool,
     /// Refuse truncated files.
     pub strict: bool,
+    /// Wait for a store that another process is writing to, instead of failing.
+    pub wait: bool,
     /// The sampling grid of a new store, `2^g` cells a side. Format version 1 has 7; others are for tests.
     #[doc(hidden)]
     pub g: u8,
@@ -73,6 +86,7 @@ impl Default for IngestOptions {
             name: None,
             recursive: false,
             strict: false,
+            wait: false,
             g: FORMAT_G,
             leaf_capacity: FORMAT_LEAF_CAPACITY,
         }

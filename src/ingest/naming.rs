@@ -11,11 +11,12 @@ pub(super) fn unique_name(path: &Path, taken: &mut HashSet<String>) -> String {
         .and_then(Path::file_name)
         .map(|folder| format!("{}/{stem}", folder.to_string_lossy()))
         .filter(|_| taken.contains(&stem));
-    let base = match with_folder {
-        Some(name) => name,
-        None => stem,
-    };
-    let mut name = base.clone();
+    unique_scan_name(&with_folder.unwrap_or(stem), taken)
+}
+
+/// `base`, with a number if it is in `taken` already; `taken` gets it.
+pub(super) fn unique_scan_name(base: &str, taken: &mut HashSet<String>) -> String {
+    let mut name = base.to_owned();
     let mut number = 2;
     while !taken.insert(name.clone()) {
         name = format!("{base}-{number}");

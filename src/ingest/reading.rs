@@ -1,9 +1,8 @@
-//! The reading stage: pieces of new sources and parts of stored nodes become rows of buckets, on all threads, while the
-//! sources' bytes are hashed beside.
+//! The reading stage: pieces of sources become rows of buckets, on all threads, while the sources' bytes are hashed
+//! beside.
 
 use super::IngestError;
 use super::budget::Budget;
-use super::existing::Existing;
 use super::identity::content_hash;
 use super::partition::{Partition, RowPlan, ScanTally, Sorter};
 use super::progress::Progress;
@@ -15,11 +14,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// What does not change while reading.
 pub(super) struct Reading<'a> {
-    /// Of the stored scans, then of the new sources.
+    /// Of the sources.
     pub plans: &'a [RowPlan],
-    pub first_new: usize,
     pub sources: &'a [Source],
-    pub existing: &'a Existing<'a>,
     pub threads: usize,
     pub strict: bool,
     pub progress: &'a dyn Progress,
@@ -44,7 +41,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Reading<'_> {
     /// Reads everything.
     pub fn read<K: RowKey>(&self, partition: &Partition<'_>, budget: &Budget) -> Result<Read, IngestError> {
-        self.existing.read::<K>(partition, self.plans, budget.open_bytes, self.progress)?;
         let contents: Vec<_> = self.sources.iter().map(|s| Mutex::new(s.content)).collect();
         let tallies: Vec<_> = self.sources.iter().map(|_| Mutex::new(ScanTally::default())).collect();
         // Hashes first: they are the longest tasks.
@@ -79,7 +75,7 @@ impl Reading<'_> {
                         if current.as_ref().is_none_or(|(at, _)| at != i) {
                             finish(current.take())?;
                         }
-                        let plan = &self.plans[self.first_new + i];
+                        let plan = &self.plans[*i];
                         let (_, sorter) = current.get_or_insert_with(|| (*i, partition.sorter(plan)));
                         let truncated = self.piece::<K>(sorter, &self.sources[*i], *piece, budget.open_bytes)?;
                         lock(&tallies[*i]).rejected.truncated += truncated;

@@ -1,6 +1,8 @@
 //! What an ingest did, for people and programs.
 
+use super::progress::Stage;
 use serde::Serialize;
+use std::time::{Duration, Instant};
 
 /// What an ingest did.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -21,6 +23,8 @@ pub struct Report {
     pub temp_bytes_predicted: u64,
     /// Bytes of the temporary file that were used.
     pub temp_bytes: u64,
+    /// Rows of encoded columns that were written into trees that were there before.
+    pub chunks_written: u64,
     /// Where the time went.
     pub stages: Vec<StageReport>,
     /// What a user should know.
@@ -61,6 +65,33 @@ pub struct Skipped {
     pub path: String,
     /// Why.
     pub reason: String,
+}
+
+/// Wall time and points by stage, summed over the batches of a run.
+#[derive(Debug, Default)]
+pub(super) struct Stages(Vec<(Stage, Duration, u64)>);
+
+impl Stages {
+    /// Times `work` as part of a stage that `points` go through.
+    pub fn time<R>(&mut self, stage: Stage, points: u64, work: impl FnOnce() -> R) -> R {
+        let begun = Instant::now();
+        let result = work();
+        let took = begun.elapsed();
+        match self.0.iter_mut().find(|s| s.0 == stage) {
+            Some(sum) => *sum = (stage, sum.1 + took, sum.2 + points),
+            None => self.0.push((stage, took, points)),
+        }
+        result
+    }
+
+    pub fn into_reports(self) -> Vec<StageReport> {
+        let report = |(stage, took, points): (Stage, Duration, u64)| {
+            let seconds = took.as_secs_f64();
+            let ns_per_point = if points > 0 { seconds * 1e9 / points as f64 } else { 0.0 };
+            StageReport { stage: stage.word(), seconds, ns_per_point }
+        };
+        self.0.into_iter().map(report).collect()
+    }
 }
 
 /// Wall time of a stage.

@@ -53,6 +53,11 @@ impl<S: Nodes> Tree<S> {
         &self.nodes
     }
 
+    /// The storage, to change what is no part of the tree's content.
+    pub fn nodes_mut(&mut self) -> &mut S {
+        &mut self.nodes
+    }
+
     /// Gives the storage back.
     pub fn into_nodes(self) -> S {
         self.nodes

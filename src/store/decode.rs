@@ -1,4 +1,5 @@
-//! A node's points back from its rows, all columns: for `digest` and `verify`. Queries decode what they need themselves.
+//! A node's points back from its rows, all columns: for `digest`, `verify` and changes of the tree. Queries decode what
+//! they need themselves.
 
 use super::error::{RowError, StoreError};
 use super::model::{NodeHead, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanId, Slot};
@@ -10,18 +11,23 @@ use crate::points::{Column, ScalarType};
 
 /// All that a part's rows hold.
 #[derive(Debug)]
-pub(super) struct DecodedPart {
+pub struct DecodedPart {
     /// In the order of the chunk.
     pub keys: Vec<Key>,
     /// The bounds of each block, as the chunk gives them.
     pub blocks: Vec<LatticeBox>,
+    /// The scan of each point.
     pub scans: Vec<ScanId>,
     /// Ascending by slot.
     pub columns: Vec<(Slot, Column)>,
 }
 
 /// Reads and decodes all columns of a part.
-pub(super) fn decode_part(
+///
+/// # Errors
+///
+/// [`StoreError::Damaged`] if a row is missing or wrong, or a column of it is.
+pub fn decode_part(
     snapshot: &Snapshot,
     head: &NodeHead,
     part: usize,

@@ -4,11 +4,10 @@
 
 use super::decode::{DecodedPart, decode_part};
 use super::error::{RowError, StoreError};
-use super::index::NodeIndex;
-use super::model::{NodeHead, Scan, ScanId, Slot};
+use super::model::{Scan, ScanId, Slot};
 use super::snapshot::Snapshot;
 use crate::codec::Decoder;
-use crate::lattice::Key;
+use crate::lattice::{Cube, Key};
 use crate::points::Column;
 use blake3::{Hash, Hasher};
 use rayon::prelude::*;
@@ -23,40 +22,108 @@ pub struct Digest {
     pub scans: Hash,
 }
 
-/// Computes both hashes; decodes the whole store.
+/// Computes both hashes of a store of one layer; decodes all of it.
 ///
 /// # Errors
 ///
-/// [`StoreError::Damaged`] if anything can't be read; [`StoreError::Unsupported`] if there are several layers.
+/// [`StoreError::Damaged`] if anything can't be read; [`StoreError::Unsupported`] if there are several layers: the
+/// digest is that of the merged tree, which [`crate::ingest::digest`] makes.
 pub fn digest(snapshot: &Snapshot) -> Result<Digest, StoreError> {
     let index = snapshot.index()?;
     if index.roots().count() > 1 {
         let path = snapshot.place().path().into();
         return Err(StoreError::Unsupported { path, what: "the digest of several layers".into() });
     }
-    let scans: BTreeMap<ScanId, ScanFacts> =
-        snapshot.scans().iter().map(|s| Ok((s.id, ScanFacts::of(snapshot, s)?))).collect::<Result<_, StoreError>>()?;
-    let nodes: Vec<Digest> = (0..index.len())
-        .into_par_iter()
-        .map_init(Decoder::new, |decoder, node| of_node(snapshot, &index, node, &scans, decoder))
+    let digester = Digester::new(snapshot)?;
+    let nodes: Vec<Digest> = index
+        .heads()
+        .par_iter()
+        .map_init(Decoder::new, |decoder, head| {
+            let parts = (0..head.parts.len()).map(|part| decode_part(snapshot, head, part, decoder));
+            digester.node(head.cube, head.leaf, parts)
+        })
         .collect::<Result<_, StoreError>>()?;
-    let site = snapshot.site();
-    let mut points = Hasher::new();
-    points.update(b"esker digest 1\0");
-    for decimal in site.lattice.quantum().into_iter().chain(site.lattice.phase()) {
-        points.update(&decimal.mantissa().to_le_bytes());
-        points.update(&decimal.exponent().to_le_bytes());
+    Ok(digester.store(&nodes))
+}
+
+/// Hashes nodes one by one, then what they come to.
+pub struct Digester<'a> {
+    snapshot: &'a Snapshot,
+    scans: BTreeMap<ScanId, ScanFacts>,
+}
+
+impl<'a> Digester<'a> {
+    /// For content whose scans are those of this snapshot.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if a scan has an attribute that is missing.
+    pub fn new(snapshot: &'a Snapshot) -> Result<Self, StoreError> {
+        let facts = snapshot.scans().iter().map(|s| Ok((s.id, ScanFacts::of(snapshot, s)?)));
+        Ok(Self { snapshot, scans: facts.collect::<Result<_, StoreError>>()? })
     }
-    points.update(&[site.g]);
-    points.update(&site.leaf_capacity.to_le_bytes());
-    let mut all = points.clone();
-    points.update(b"points\0");
-    all.update(b"scans\0");
-    for node in &nodes {
-        points.update(node.points.as_bytes());
-        all.update(node.scans.as_bytes());
+
+    /// The two hashes of a node.
+    ///
+    /// # Errors
+    ///
+    /// Those of `parts`; [`StoreError::Damaged`] if a point has no scan, or lacks an attribute of its scan.
+    pub fn node(
+        &self,
+        cube: Cube,
+        leaf: bool,
+        parts: impl IntoIterator<Item = Result<DecodedPart, StoreError>>,
+    ) -> Result<Digest, StoreError> {
+        // By kind of record: with its scan's attributes alone, and with its scan's identity too.
+        let mut by_set: BTreeMap<[u8; 32], Records> = BTreeMap::new();
+        let mut by_scan: BTreeMap<([u8; 32], [u8; 32]), Records> = BTreeMap::new();
+        for (part, decoded) in parts.into_iter().enumerate() {
+            let decoded = decoded?;
+            for &scan in present(&decoded.scans).iter() {
+                let wrong = |what: &str| {
+                    let key = format!("node at {:?}, side 2^{}, part {part}", cube.low().0, cube.k());
+                    self.snapshot.place().error(RowError::damage("chunk", key, format!("{what} of scan {scan}")))
+                };
+                let facts = self.scans.get(&scan).ok_or_else(|| wrong("has points, but there is no row,"))?;
+                let records = records_of(&decoded, scan, facts).ok_or_else(|| wrong("lacks an attribute"))?;
+                append(by_set.entry(facts.set).or_default(), &records);
+                append(by_scan.entry((facts.identity, facts.set)).or_default(), &records);
+            }
+        }
+        let mut points = begin(cube, leaf);
+        let mut all = points.clone();
+        for (set, records) in &by_set {
+            points.update(set);
+            records.put(&mut points);
+        }
+        for ((identity, set), records) in &by_scan {
+            all.update(identity);
+            all.update(set);
+            records.put(&mut all);
+        }
+        Ok(Digest { points: points.finalize(), scans: all.finalize() })
     }
-    Ok(Digest { points: points.finalize(), scans: all.finalize() })
+
+    /// The two hashes of the store with these nodes, which are in the order of their keys.
+    pub fn store(&self, nodes: &[Digest]) -> Digest {
+        let site = self.snapshot.site();
+        let mut points = Hasher::new();
+        points.update(b"esker digest 1\0");
+        for decimal in site.lattice.quantum().into_iter().chain(site.lattice.phase()) {
+            points.update(&decimal.mantissa().to_le_bytes());
+            points.update(&decimal.exponent().to_le_bytes());
+        }
+        points.update(&[site.g]);
+        points.update(&site.leaf_capacity.to_le_bytes());
+        let mut all = points.clone();
+        points.update(b"points\0");
+        all.update(b"scans\0");
+        for node in nodes {
+            points.update(node.points.as_bytes());
+            all.update(node.scans.as_bytes());
+        }
+        Digest { points: points.finalize(), scans: all.finalize() }
+    }
 }
 
 /// What a record's scan contributes to it.
@@ -123,48 +190,10 @@ impl Records {
     }
 }
 
-fn of_node(
-    snapshot: &Snapshot,
-    index: &NodeIndex,
-    node: usize,
-    scans: &BTreeMap<ScanId, ScanFacts>,
-    decoder: &mut Decoder,
-) -> Result<Digest, StoreError> {
-    let head = &index.heads()[node];
-    // By kind of record: with its scan's attributes alone, and with its scan's identity too.
-    let mut by_set: BTreeMap<[u8; 32], Records> = BTreeMap::new();
-    let mut by_scan: BTreeMap<([u8; 32], [u8; 32]), Records> = BTreeMap::new();
-    for part in 0..head.parts.len() {
-        let decoded = decode_part(snapshot, head, part, decoder)?;
-        for &scan in present(&decoded.scans).iter() {
-            let wrong = |what: &str| {
-                let key = format!("{}, part {part}", super::rows::name_of(head));
-                snapshot.place().error(RowError::damage("chunk", key, format!("{what} of scan {scan}")))
-            };
-            let facts = scans.get(&scan).ok_or_else(|| wrong("has points, but there is no row,"))?;
-            let records = records_of(&decoded, scan, facts).ok_or_else(|| wrong("lacks an attribute"))?;
-            append(by_set.entry(facts.set).or_default(), &records);
-            append(by_scan.entry((facts.identity, facts.set)).or_default(), &records);
-        }
-    }
-    let mut points = begin(head);
-    let mut all = points.clone();
-    for (set, records) in &by_set {
-        points.update(set);
-        records.put(&mut points);
-    }
-    for ((identity, set), records) in &by_scan {
-        all.update(identity);
-        all.update(set);
-        records.put(&mut all);
-    }
-    Ok(Digest { points: points.finalize(), scans: all.finalize() })
-}
-
-fn begin(head: &NodeHead) -> Hasher {
+fn begin(cube: Cube, leaf: bool) -> Hasher {
     let mut hash = Hasher::new();
-    hash.update(&head.cube.node_key().0);
-    hash.update(&[head.leaf.into()]);
+    hash.update(&cube.node_key().0);
+    hash.update(&[leaf.into()]);
     hash
 }
 

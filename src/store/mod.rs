@@ -31,7 +31,8 @@ mod zones;
 
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
-pub use digest::{Digest, digest};
+pub use decode::{DecodedPart, decode_part};
+pub use digest::{Digest, Digester, digest};
 pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, encode_node};
 pub use error::StoreError;
 pub use files::{SPILL_SUFFIX, spill_path};

@@ -188,6 +188,24 @@ pub struct NodeHead {
 }
 
 impl NodeHead {
+    /// Of an inner node that stores nothing itself; what it says of its subtree is still to be filled in.
+    pub fn without_points(layer: u16, cube: Cube) -> Self {
+        Self {
+            layer,
+            cube,
+            leaf: false,
+            children: 0,
+            own_points: 0,
+            subtree_points: 0,
+            scans: Vec::new(),
+            own_bounds: None,
+            subtree_bounds: LatticeBox::of(cube.low()),
+            shape: Shape::default(),
+            chunk_base: 0,
+            parts: Vec::new(),
+        }
+    }
+
     /// The ids of the node's chunk rows lie in this range.
     pub fn chunk_ids(&self) -> std::ops::Range<i64> {
         let rows = (self.parts.len() as i64).saturating_mul(SLOT_STRIDE);

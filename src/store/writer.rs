@@ -15,6 +15,7 @@ use super::rows::{self, ChunkRow, SiteRow};
 use super::snapshot::facts;
 use crate::points::Attribute;
 use rusqlite::Connection;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
@@ -36,7 +37,7 @@ const REMOVED_AT_ONCE: usize = 4096;
 const VACUUM_PAGES: u32 = 4096;
 
 /// Gives out ids of chunk rows; cheap to clone, may be used from any thread.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct ChunkIds(Arc<AtomicI64>);
 
 impl ChunkIds {
@@ -293,6 +294,49 @@ impl Writer {
     /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`].
     pub fn put_bookmark(&mut self, name: &str, camera_json: &str) -> Result<(), StoreError> {
         self.run(|c| rows::put_bookmark(c, name, camera_json))
+    }
+
+    /// Writes the file anew without the free space inside it. Takes as much room again while it runs.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Full`], [`StoreError::Sqlite`]; the store is then as it was.
+    pub fn compact(&mut self) -> Result<(), StoreError> {
+        self.remove_garbage()?;
+        let folder = match &*self.place {
+            Place::File(file) => file.path.parent().filter(|p| !p.as_os_str().is_empty()).map(Path::to_owned),
+            Place::Memory(_) => None,
+        };
+        self.run(|c| {
+            // The second copy lies beside the store, where there is room for a store, and not in the system's folder
+            // for temporary files.
+            if let Some(folder) = folder.as_deref().and_then(Path::to_str) {
+                c.pragma_update(None, "temp_store_directory", folder)?;
+            }
+            Ok(c.execute_batch("PRAGMA synchronous = FULL; VACUUM")?)
+        })?;
+        self.tidy();
+        Ok(())
+    }
+
+    /// Writes a copy without free space to `path`, where nothing may be yet.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::AlreadyThere`], [`StoreError::Full`], [`StoreError::Sqlite`]; no copy is left then.
+    pub fn copy_to(&self, path: &Path) -> Result<(), StoreError> {
+        if path.exists() {
+            return Err(StoreError::AlreadyThere { path: path.into() });
+        }
+        let Some(text) = path.to_str() else {
+            let what = "the copy's path is no UTF-8".into();
+            return Err(StoreError::Inconsistent { path: path.into(), what });
+        };
+        let copied = self.run(|c| Ok(c.execute("VACUUM INTO ?", [text]).map(drop)?));
+        if copied.is_err() {
+            let _ = std::fs::remove_file(path);
+        }
+        copied
     }
 
     /// Gives up: the store is as it was last committed.

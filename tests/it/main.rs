@@ -5,6 +5,7 @@ mod bad_input;
 mod canonical;
 mod fidelity;
 mod floors;
+mod histories;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;

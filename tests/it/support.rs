@@ -173,3 +173,64 @@ impl Random {
         }
     }
 }
+
+/// A small LAS 1.2 file on a grid of 0.01, of point format 0 to 3.
+pub struct TinyLas {
+    format: u8,
+    records: Vec<u8>,
+}
+
+impl TinyLas {
+    pub fn new(format: u8) -> Self {
+        Self { format, records: Vec::new() }
+    }
+
+    fn record_bytes(&self) -> usize {
+        [20, 28, 26, 34][usize::from(self.format)]
+    }
+
+    /// A record; `bits` fill its attributes.
+    pub fn push(&mut self, at: [i32; 3], bits: u64) {
+        let start = self.records.len();
+        at.iter().for_each(|v| self.records.extend(v.to_le_bytes()));
+        // Intensity, one return of one, class, angle, user data, source.
+        self.records.extend(((bits % 1000) as u16).to_le_bytes());
+        self.records.extend([0b0000_1001, (bits >> 20 & 15) as u8, 0, (bits >> 30 & 3) as u8]);
+        self.records.extend(((bits >> 40 & 3) as u16).to_le_bytes());
+        let mut rest = Random(bits);
+        while self.records.len() < start + self.record_bytes() {
+            self.records.push(if self.format % 2 == 1 && self.records.len() < start + 28 {
+                (bits >> 3) as u8 & 0x3f
+            } else {
+                rest.next() as u8
+            });
+        }
+    }
+
+    pub fn positions(&self) -> Vec<[i32; 3]> {
+        let axis = |r: &[u8], i: usize| i32::from_le_bytes(r[4 * i..4 * i + 4].try_into().unwrap());
+        self.records.chunks(self.record_bytes()).map(|r| [0, 1, 2].map(|i| axis(r, i))).collect()
+    }
+
+    /// The file.
+    pub fn bytes(&self) -> Vec<u8> {
+        let positions = self.positions();
+        let mut file = vec![0_u8; 227];
+        file[..4].copy_from_slice(b"LASF");
+        file[24..26].copy_from_slice(&[1, 2]);
+        file[94..96].copy_from_slice(&227_u16.to_le_bytes());
+        file[96..100].copy_from_slice(&227_u32.to_le_bytes());
+        file[104] = self.format;
+        file[105..107].copy_from_slice(&(self.record_bytes() as u16).to_le_bytes());
+        file[107..111].copy_from_slice(&(positions.len() as u32).to_le_bytes());
+        for i in 0..3 {
+            file[131 + 8 * i..139 + 8 * i].copy_from_slice(&0.01_f64.to_le_bytes());
+            let of = |f: fn(i32, i32) -> i32| positions.iter().map(|p| p[i]).reduce(f).unwrap_or(0);
+            let bounds = [f64::from(of(i32::max)) * 0.01, f64::from(of(i32::min)) * 0.01];
+            file[179 + 16 * i..187 + 16 * i].copy_from_slice(&bounds[0].to_le_bytes());
+            file[187 + 16 * i..195 + 16 * i].copy_from_slice(&bounds[1].to_le_bytes());
+        }
+        file.extend(&self.records);
+        file
+    }
+}

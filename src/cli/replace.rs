@@ -1,0 +1,60 @@
+//! `esker replace`: a scan's new version in its place.
+
+use super::progress::Shown;
+use super::{Outcome, changing::Changing, output};
+use crate::ingest::{self, IngestOptions};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Takes a scan out and puts another file in its place, in one commit: readers see the one or the other.
+///
+/// Without a file, the scan's own source is read again.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  esker replace site.esker roof roof-cleaned.laz\n  \
+                  esker replace site.esker roof            # the same file, read again")]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// The scan, by name or number (`esker scans` lists them).
+    scan: String,
+    /// The new file (default: the scan's source).
+    input: Option<PathBuf>,
+    /// The new scan's name (default: the old one's).
+    #[arg(long)]
+    name: Option<String>,
+    /// Take coordinates as they are though the file's CRS is not the site's.
+    #[arg(long)]
+    ignore_crs: bool,
+    /// Truncated files are errors; rejected points end the command with exit code 3.
+    #[arg(long)]
+    strict: bool,
+    #[command(flatten)]
+    changing: Changing,
+    /// One JSON object on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
+    let shown = Shown::new(arguments.changing.progress);
+    let options = IngestOptions {
+        memory_bytes: arguments.changing.memory,
+        threads: arguments.changing.threads.map(usize::from),
+        wait: arguments.changing.wait,
+        ignore_crs: arguments.ignore_crs,
+        name: arguments.name,
+        strict: arguments.strict,
+        ..IngestOptions::default()
+    };
+    let result = ingest::replace(&arguments.store, &arguments.scan, arguments.input.as_deref(), &options, &shown);
+    shown.clear();
+    let report = result?;
+    super::ingest::tell(&report);
+    if arguments.json {
+        output::json(&serde_json::to_value(&report)?)?;
+    } else {
+        super::ingest::print(&report)?;
+    }
+    let rejected = report.scans.iter().any(|s| s.rejected > 0);
+    Ok(if arguments.strict && rejected { Outcome::Rejected } else { Outcome::Done })
+}

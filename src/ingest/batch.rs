@@ -1,0 +1,272 @@
+//! Some sources to scans of the store, in one commit.
+
+use super::IngestError;
+use super::bulk::{Layer, Room, params};
+use super::change::{Edit, Ground, NewRows, change};
+use super::context::Context;
+use super::gather::ScanColumns;
+use super::identity::IDENTITY_POSE;
+use super::layers::{Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw};
+use super::measure::{WorldBounds, hinted_bounds};
+use super::partition::{Bucket, RowPlan, ScanTally};
+use super::progress::Stage;
+use super::reading::{Read, Reading};
+use super::report::{Report, ScanReport, Stages};
+use super::sources::Source;
+use crate::lattice::{Cube, Exactness, Key, Lattice, SourceMap};
+use crate::points::{Attribute, Crs, ScalarType};
+use crate::store::model::{Scan, ScanId};
+use crate::store::{Flip, Snapshot, Store, Writer};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// What is to be done.
+pub(super) struct Batch<'a> {
+    pub sources: &'a [Source],
+    /// World bounds of each source, where they are known.
+    pub measured: &'a [Option<WorldBounds>],
+    /// The site's CRS from now on.
+    pub crs: Option<Crs>,
+    /// Scans that go in the same commit, ascending.
+    pub replaced: &'a [ScanId],
+    pub strict: bool,
+}
+
+/// Reads the sources and commits them.
+pub(super) fn add(
+    context: &Context<'_>,
+    store: &Store,
+    writer: &mut Writer,
+    batch: &Batch<'_>,
+    stages: &mut Stages,
+    report: &mut Report,
+) -> Result<(), IngestError> {
+    // The lock is held: what the snapshot says stays true.
+    let snapshot = store.snapshot()?;
+    let site = snapshot.site().clone();
+    let lattice = &site.lattice;
+    let sources = batch.sources;
+    let plans = plans(sources, lattice)?;
+
+    let records: u64 = sources.iter().map(|s| s.reader.info().records).sum();
+    let payload: u64 = sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.payload as u64).sum();
+    let stored: u64 =
+        sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.stride() as u64 / 2).sum();
+    let hint = hinted_bounds(lattice, sources, batch.measured);
+    let room = Room::new(context, site.g, hint, records, payload, stored)?;
+    report.temp_bytes_predicted = report.temp_bytes_predicted.max(room.budget.temp_bytes);
+    let (read, buckets) = {
+        let partition = room.partition(lattice);
+        let (threads, strict, progress) = (context.threads, batch.strict, context.progress);
+        let reading = Reading { plans: &plans, sources, threads, strict, progress };
+        context.progress.stage(Stage::Read, records);
+        let read = stages.time(Stage::Read, records, || {
+            if room.wide {
+                reading.read::<Key>(&partition, &room.budget)
+            } else {
+                reading.read::<u64>(&partition, &room.budget)
+            }
+        })?;
+        (read, partition.finish())
+    };
+    report.temp_bytes = report.temp_bytes.max(room.temp_bytes());
+    refuse_if_all_are_outside(sources, &read.tallies, lattice)?;
+
+    let scans = scan_rows(writer, batch, &read, &plans)?;
+    let new_points = read.tallies.iter().map(|t| t.stored).sum();
+    context.progress.stage(Stage::Build, new_points);
+    let new = NewScans { plans: &plans, scans: &scans };
+    let edits = stages
+        .time(Stage::Build, new_points, || build(context, &snapshot, writer, batch, &new, &room, buckets, report))?;
+    context.go_on()?;
+
+    context.progress.stage(Stage::Commit, new_points);
+    let scans_removed = batch.replaced.to_vec();
+    let flip = Flip { crs: batch.crs.clone(), scans_removed, ..joined(&snapshot, edits) };
+    for ((source, tally), scan) in sources.iter().zip(&read.tallies).zip(&scans) {
+        report.scans.push(scan_report(source, tally, scan));
+    }
+    report.points += new_points;
+    // A snapshot that is held keeps the log from being written back.
+    drop(snapshot);
+    stages.time(Stage::Commit, new_points, || writer.commit(Flip { scans_added: scans, ..flip }))?;
+    Ok(())
+}
+
+fn plans(sources: &[Source], lattice: &Lattice) -> Result<Vec<RowPlan>, IngestError> {
+    let plan = |(slot, source): (u32, &Source)| {
+        let info = source.reader.info();
+        let map = match &info.grid {
+            Some(grid) => Some(SourceMap::new(grid, lattice).ok_or_else(|| IngestError::Grid(info.path.clone()))?),
+            None => None,
+        };
+        Ok(RowPlan::new(slot, info.layout.clone(), map))
+    };
+    (0..).zip(sources).map(plan).collect()
+}
+
+struct NewScans<'a> {
+    plans: &'a [RowPlan],
+    scans: &'a [Scan],
+}
+
+impl NewScans<'_> {
+    /// By slot.
+    fn columns(&self) -> Vec<ScanColumns<'_>> {
+        let scans = self.scans.iter().zip(self.plans);
+        scans.map(|(s, plan)| ScanColumns::new(s.id, s.identity, plan, s.attributes.clone())).collect()
+    }
+}
+
+/// Puts the new points where they belong, and takes those of replaced scans away.
+#[expect(clippy::too_many_arguments, reason = "all of one step of `add`, which has them as variables")]
+fn build(
+    context: &Context<'_>,
+    snapshot: &Snapshot,
+    writer: &mut Writer,
+    batch: &Batch<'_>,
+    new: &NewScans<'_>,
+    room: &Room,
+    buckets: Vec<Bucket>,
+    report: &mut Report,
+) -> Result<Vec<Edit>, IngestError> {
+    let index = snapshot.index()?;
+    let site = snapshot.site();
+    let stored_plans = stored_plans(context, snapshot)?;
+    // The new scans' records as a change sees them: canonical, like those of the stored ones.
+    let canonical: Vec<RowPlan> = new.plans.iter().map(|plan| plan.canonical()).collect();
+    let new_columns = NewScans { plans: &canonical, scans: new.scans };
+    let order = scan_order(stored_columns(snapshot, &stored_plans), new_columns.columns());
+    let table = scan_table(writer.attributes(), snapshot.scans().iter().chain(new.scans));
+    let ground = Ground { snapshot, index: &index, params: params(site), scans: &order, table: &table };
+    let rows: u64 = buckets.iter().map(|b| b.rows).sum();
+    let small = room.is_memory() && rows.saturating_mul(super::change::POINT_BYTES) <= context.memory;
+    let columns = new.columns();
+
+    let mut edits = Vec::new();
+    if small && !index.is_empty() {
+        let new_rows = if room.wide {
+            NewRows::of::<Key>(&buckets, &columns, &order)?
+        } else {
+            NewRows::of::<u64>(&buckets, &columns, &order)?
+        };
+        let mut points = new_rows.points();
+        let keys: Vec<Key> = points.iter().map(|p| p.key).collect();
+        if let Target::Existing(into) = target(context, snapshot, &index, Some(&keys)) {
+            drop(buckets);
+            for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
+                if layer == into {
+                    let points = std::mem::take(&mut points);
+                    let cancelled = || context.progress.cancelled();
+                    edits.push(change(&ground, writer, layer, batch.replaced, points, &cancelled)?);
+                } else {
+                    edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
+                }
+            }
+            report.chunks_written = edits.iter().map(|e| e.chunks).sum();
+            return Ok(edits);
+        }
+    }
+    for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
+        edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
+    }
+    let bounds = new.scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
+    if let (Some(bounds), Target::New(into)) = (bounds, target(context, snapshot, &index, None)) {
+        let root = Cube::spanning(bounds.min, bounds.max, site.g);
+        let ids = writer.chunk_ids();
+        let layer = Layer { layer: into, params: params(site), root, scans: &columns, table: &table, ids };
+        let put = room.write(context, writer, &layer, buckets)?;
+        edits.push(Edit { layer: into, root: Some(root), put, ..Edit::default() });
+    }
+    Ok(edits)
+}
+
+/// The rows of `scan` for the sources.
+fn scan_rows(
+    writer: &mut Writer,
+    batch: &Batch<'_>,
+    Read { tallies, contents }: &Read,
+    plans: &[RowPlan],
+) -> Result<Vec<Scan>, IngestError> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs() as i64);
+    let mut scans = Vec::new();
+    for (((source, tally), content), plan) in batch.sources.iter().zip(tallies).zip(contents).zip(plans) {
+        let info = source.reader.info();
+        let attributes = writer.add_attributes(&plan.layout.attributes)?;
+        let exactness = match &plan.map {
+            Some(map) => map.exactness(),
+            None if tally.largest_error == 0.0 => Exactness::Exact,
+            None => Exactness::Rounded,
+        };
+        let is_8_bit = |name: &str| plan.layout.attributes.iter().any(|a| a.name == name && a.ty == ScalarType::U8);
+        scans.push(Scan {
+            id: writer.reserve_scan(),
+            name: source.name.clone(),
+            source: info.path.display().to_string(),
+            source_bytes: source.bytes,
+            identity: source.identity(content),
+            time: now,
+            pose: IDENTITY_POSE,
+            read: tally.read + tally.rejected.truncated,
+            stored: tally.stored,
+            rejected: tally.rejected,
+            bounds: tally.bounds,
+            exactness,
+            largest_error: tally.largest_error,
+            format: info.format.to_owned(),
+            las: info.las.clone(),
+            color_depth: color_depth(&plan.layout.attributes, tally.color_bits, is_8_bit("Red")),
+            visible: true,
+            attributes,
+            crs: source.crs.clone(),
+        });
+    }
+    Ok(scans)
+}
+
+fn refuse_if_all_are_outside(sources: &[Source], tallies: &[ScanTally], lattice: &Lattice) -> Result<(), IngestError> {
+    for (source, tally) in sources.iter().zip(tallies) {
+        let out = tally.rejected.out_of_range;
+        if out > 0 && tally.stored == 0 && out == tally.read {
+            let path = source.reader.info().path.clone();
+            return Err(IngestError::OutOfRange { path, points: out, range: range_of(lattice) });
+        }
+    }
+    Ok(())
+}
+
+/// The range of the lattice in words.
+fn range_of(lattice: &Lattice) -> String {
+    let last = (1 << crate::lattice::BITS) - 1;
+    format!("{:e} to {:e} in x", lattice.world_on_axis(0, 0), lattice.world_on_axis(0, last))
+}
+
+fn color_depth(attributes: &[Attribute], bits: u16, is_8_bit: bool) -> Option<u8> {
+    attributes.iter().find(|a| a.name == "Red")?;
+    Some(if is_8_bit || bits <= 255 { 8 } else { 16 })
+}
+
+fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
+    let mut warnings = source.warnings.clone();
+    if tally.rejected.out_of_range > 0 {
+        warnings.push(format!(
+            "{} points are outside the lattice; a store with a coarser --quantum would hold them",
+            tally.rejected.out_of_range
+        ));
+    }
+    if tally.rejected.not_finite > 0 {
+        warnings.push(format!("{} points have a coordinate that is NaN or infinite", tally.rejected.not_finite));
+    }
+    ScanReport {
+        name: scan.name.clone(),
+        source: scan.source.clone(),
+        read: scan.read,
+        stored: scan.stored,
+        rejected: scan.rejected.total(),
+        rejected_not_finite: scan.rejected.not_finite,
+        rejected_out_of_range: scan.rejected.out_of_range,
+        rejected_truncated: scan.rejected.truncated,
+        positions: scan.exactness.word(),
+        max_error: scan.largest_error,
+        warnings,
+    }
+}

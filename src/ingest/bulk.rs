@@ -1,0 +1,146 @@
+//! A layer built from nothing: rows in buckets become nodes, nodes become rows and chunks of the store.
+
+use super::IngestError;
+use super::budget::{Budget, check_disk};
+use super::build::{Plan, Sink, build};
+use super::context::Context;
+use super::gather::ScanColumns;
+use super::partition::{Bucket, Partition, bucket_exponent};
+use super::rows::RowKey;
+use super::spill::Spill;
+use super::subtrees::with_subtrees;
+use crate::lattice::{Cube, Key, Lattice, LatticeBox};
+use crate::octree::Params;
+use crate::store::model::{NodeHead, Site, Zones};
+use crate::store::{EncodedNode, ScanTable, Writer};
+use std::sync::Mutex;
+use std::sync::mpsc::sync_channel;
+
+/// Where rows wait for their nodes: memory, or one temporary file.
+pub(super) struct Room {
+    pub budget: Budget,
+    /// Do the rows have wide keys?
+    pub wide: bool,
+    k: u8,
+    spill: Option<Spill>,
+}
+
+impl Room {
+    /// For at most `rows` rows with `payload_bytes` bytes of payload, about inside `hint`, of which the store will keep
+    /// about `store_bytes`.
+    pub fn new(
+        context: &Context<'_>,
+        g: u8,
+        hint: Option<LatticeBox>,
+        rows: u64,
+        payload_bytes: u64,
+        store_bytes: u64,
+    ) -> Result<Self, IngestError> {
+        let wide = hint.is_some_and(|h| bucket_exponent(&h, 1).1);
+        let key_bytes = if wide { <Key as RowKey>::BYTES } else { <u64 as RowKey>::BYTES } as u64;
+        let budget = Budget::new(context.memory, rows, rows * key_bytes + payload_bytes, context.threads);
+        let k = hint.map_or(0, |h| bucket_exponent(&h, budget.buckets).0).max(g);
+        check_disk(context.path, store_bytes, budget.temp_bytes)?;
+        if budget.temp_bytes > 0 {
+            context.progress.say(&format!(
+                "{rows} points don't fit {} MiB of memory; a temporary file of {} MiB will be used",
+                context.memory >> 20,
+                budget.temp_bytes.div_ceil(1 << 20)
+            ));
+        }
+        let spill = if budget.temp_bytes > 0 { Some(Spill::create(context.path)?) } else { None };
+        Ok(Self { budget, wide, k, spill })
+    }
+
+    /// The buckets, empty.
+    pub fn partition<'a>(&'a self, lattice: &'a Lattice) -> Partition<'a> {
+        Partition::new(lattice, self.spill.as_ref(), self.k, self.wide)
+    }
+
+    /// Bytes in the temporary file.
+    pub fn temp_bytes(&self) -> u64 {
+        self.spill.as_ref().map_or(0, Spill::bytes)
+    }
+
+    /// Is everything in memory?
+    pub fn is_memory(&self) -> bool {
+        self.spill.is_none()
+    }
+
+    /// Builds the tree of the rows in `buckets`, and gives every node to `sink`.
+    pub fn build(
+        &self,
+        context: &Context<'_>,
+        layer: &Layer<'_>,
+        buckets: Vec<Bucket>,
+        sink: Sink<'_>,
+    ) -> Result<(), IngestError> {
+        let ids = layer.ids.clone();
+        let plan = Plan {
+            params: layer.params,
+            layer: layer.layer,
+            root: layer.root,
+            scans: layer.scans,
+            table: layer.table,
+            ids: &ids,
+            spill: self.spill.as_ref(),
+            most_rows: self.budget.bucket_rows,
+            threads: context.threads,
+            progress: context.progress,
+            sink,
+        };
+        if self.wide { build::<Key>(&plan, buckets) } else { build::<u64>(&plan, buckets) }
+    }
+
+    /// Builds, encodes and writes; gives the rows of all nodes.
+    pub fn write(
+        &self,
+        context: &Context<'_>,
+        writer: &mut Writer,
+        layer: &Layer<'_>,
+        buckets: Vec<Bucket>,
+    ) -> Result<Vec<(NodeHead, Zones)>, IngestError> {
+        let (sender, receiver) = sync_channel::<EncodedNode>(self.budget.queue);
+        let sender = Mutex::new(sender);
+        let nodes = std::thread::scope(|scope| {
+            let writing = scope.spawn(move || {
+                let mut heads = Vec::new();
+                for node in receiver {
+                    writer.put_chunks(&node.chunks)?;
+                    heads.push((node.head, node.zones));
+                }
+                Ok::<_, crate::store::StoreError>(heads)
+            });
+            let sink = |node: EncodedNode| {
+                let sender = sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone();
+                // The writer only stops listening when it has failed, and says why when it is joined.
+                sender.send(node).map_err(|_| IngestError::Internal("the writer has stopped".into()))
+            };
+            let built = self.build(context, layer, buckets, Sink::Encoded(&sink));
+            drop(sender);
+            let written = writing.join().map_err(|_| IngestError::Internal("the writer broke down".into()))?;
+            match (built, written) {
+                (_, Err(error)) => Err(error.into()),
+                (Err(error), Ok(_)) => Err(error),
+                (Ok(()), Ok(heads)) => Ok(heads),
+            }
+        })?;
+        context.go_on()?;
+        Ok(with_subtrees(nodes))
+    }
+}
+
+/// What is known of a layer before it is built.
+pub(super) struct Layer<'a> {
+    pub layer: u16,
+    pub params: Params,
+    pub root: Cube,
+    pub scans: &'a [ScanColumns<'a>],
+    pub table: &'a ScanTable,
+    pub ids: crate::store::ChunkIds,
+}
+
+/// The parameters of a site's trees.
+pub(super) fn params(site: &Site) -> Params {
+    Params { g: site.g, leaf_capacity: site.leaf_capacity }
+}

@@ -1,0 +1,70 @@
+//! What a run works with: the store's path, memory, threads, and who is told of its progress.
+
+use super::budget::{default_memory, default_threads};
+use super::{IngestError, Progress};
+use crate::store::{Store, StoreError, Writer};
+use std::path::Path;
+use std::time::Duration;
+
+/// How often a store that is in use is asked for again.
+const ASK_AGAIN: Duration = Duration::from_millis(200);
+
+/// What changing a store may use. The default is right for most machines.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Resources {
+    /// Memory to use at most; `None` for a quarter of the machine's.
+    pub memory_bytes: Option<u64>,
+    /// Threads; `None` for one per core.
+    pub threads: Option<usize>,
+    /// Wait for a store that another process is writing to, instead of failing.
+    pub wait: bool,
+}
+
+pub(super) struct Context<'a> {
+    pub path: &'a Path,
+    pub memory: u64,
+    pub threads: usize,
+    pub wait: bool,
+    pub progress: &'a dyn Progress,
+}
+
+impl<'a> Context<'a> {
+    /// Runs `work` on a pool of the threads that it may use.
+    pub fn run<R: Send>(
+        path: &'a Path,
+        resources: &Resources,
+        progress: &'a dyn Progress,
+        work: impl FnOnce(&Self) -> Result<R, IngestError> + Send,
+    ) -> Result<R, IngestError> {
+        let threads = resources.threads.unwrap_or_else(default_threads).max(1);
+        let memory = resources.memory_bytes.unwrap_or_else(default_memory);
+        let context = Self { path, memory, threads, wait: resources.wait, progress };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        pool.map_err(|e| IngestError::Threads(e.to_string()))?.install(|| work(&context))
+    }
+
+    /// The store's one writer; waits for it if that is wished.
+    pub fn writer(&self, store: &Store) -> Result<Writer, IngestError> {
+        let mut told = false;
+        loop {
+            match store.writer() {
+                Err(StoreError::InUse { .. }) if self.wait => {
+                    if !told {
+                        self.progress.say("the store is in use; waiting");
+                        told = true;
+                    }
+                    if self.progress.cancelled() {
+                        return Err(IngestError::Interrupted);
+                    }
+                    std::thread::sleep(ASK_AGAIN);
+                }
+                other => return Ok(other?),
+            }
+        }
+    }
+
+    /// An error if the run is to stop.
+    pub fn go_on(&self) -> Result<(), IngestError> {
+        if self.progress.cancelled() { Err(IngestError::Interrupted) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,266 @@
+//! Changes of a store that is there: scans out, replaced, hidden, shown; layers and free space put together.
+
+use super::batch::{Batch, add};
+use super::budget::peak_memory;
+use super::change::Ground;
+use super::context::{Context, Resources};
+use super::layers::{
+    digest_of_all, fold_all, fold_if_many, joined, scan_order, scan_table, stored_columns, stored_plans, withdraw,
+};
+use super::measure::measure;
+use super::progress::{Progress, Stage};
+use super::report::{Report, Stages};
+use super::run::{opened, remove_store};
+use super::sources;
+use super::{IngestError, IngestOptions, bulk};
+use crate::store::model::{Scan, ScanId};
+use crate::store::{Digest, Flip, Store};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What [`remove`] did.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Removed {
+    /// The names of the scans that are gone.
+    pub scans: Vec<String>,
+    /// Their points.
+    pub points: u64,
+    /// Rows of encoded columns that were written anew.
+    pub chunks_written: u64,
+    /// The file's size before and after, without the log.
+    pub bytes_before: u64,
+    /// See `bytes_before`.
+    pub bytes_after: u64,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// What [`compact`] did.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Compacted {
+    /// Layers before; one is left.
+    pub layers: usize,
+    /// The file's size before and after, without the log.
+    pub bytes_before: u64,
+    /// See `bytes_before`; with a copy, the copy's.
+    pub bytes_after: u64,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// Takes scans out of a store, by name or number, in one commit. What is left is as if they had never been there.
+///
+/// # Errors
+///
+/// [`IngestError::NoScan`] if one of them is not there; in every case of an error nothing is removed.
+pub fn remove(
+    path: &Path,
+    scans: &[String],
+    resources: &Resources,
+    progress: &dyn Progress,
+) -> Result<Removed, IngestError> {
+    Context::run(path, resources, progress, |context| {
+        let begun = Instant::now();
+        let (store, mut writer) = opened(context, Store::open(path)?)?;
+        let bytes_before = file_bytes(path);
+        let snapshot = store.snapshot()?;
+        let doomed = find_all(snapshot.scans(), scans)?;
+        let gone: Vec<&Scan> = snapshot.scans().iter().filter(|s| doomed.contains(&s.id)).collect();
+        let mut removed = Removed {
+            scans: gone.iter().map(|s| s.name.clone()).collect(),
+            points: gone.iter().map(|s| s.stored).sum(),
+            bytes_before,
+            ..Removed::default()
+        };
+        let index = snapshot.index()?;
+        let plans = stored_plans(context, &snapshot)?;
+        let order = scan_order(stored_columns(&snapshot, &plans), Vec::new());
+        let table = scan_table(writer.attributes(), snapshot.scans());
+        let params = bulk::params(snapshot.site());
+        let ground = Ground { snapshot: &snapshot, index: &index, params, scans: &order, table: &table };
+        progress.stage(Stage::Build, removed.points);
+        let mut edits = Vec::new();
+        for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
+            edits.extend(withdraw(context, &ground, &mut writer, layer, &doomed)?);
+        }
+        context.go_on()?;
+        removed.chunks_written = edits.iter().map(|e| e.chunks).sum();
+        let flip = Flip { scans_removed: doomed, ..joined(&snapshot, edits) };
+        drop(snapshot);
+        progress.stage(Stage::Commit, removed.points);
+        writer.commit(flip)?;
+        removed.bytes_after = file_bytes(path);
+        removed.seconds = begun.elapsed().as_secs_f64();
+        Ok(removed)
+    })
+}
+
+/// Puts the scans of one input in the place of a scan, in one commit. The new scan has the old one's name, unless the
+/// options give one. `input`: the old scan's source, read again, if none is given.
+///
+/// # Errors
+///
+/// [`IngestError`]; the store is then as it was.
+pub fn replace(
+    path: &Path,
+    scan: &str,
+    input: Option<&Path>,
+    options: &IngestOptions,
+    progress: &dyn Progress,
+) -> Result<Report, IngestError> {
+    let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
+    Context::run(path, &resources, progress, |context| {
+        let begun = Instant::now();
+        let mut stages = Stages::default();
+        let (store, mut writer) = opened(context, Store::open(path)?)?;
+        let snapshot = store.snapshot()?;
+        let replaced = find_all(snapshot.scans(), &[scan.to_owned()])?;
+        let (old, others): (Vec<Scan>, Vec<Scan>) =
+            snapshot.scans().iter().cloned().partition(|s| replaced.contains(&s.id));
+        let site_crs = snapshot.site().crs.clone();
+        drop(snapshot);
+        let input = match (input, old.first()) {
+            (Some(input), _) => input.to_owned(),
+            (None, Some(old)) => PathBuf::from(&old.source),
+            (None, None) => return Err(IngestError::Internal("a scan without a row".into())),
+        };
+        let opened = sources::open(&[input], options, &others, progress)?;
+        let mut sources = opened.sources;
+        if let ([source], Some(old), None) = (&mut sources[..], old.first(), &options.name) {
+            source.name = old.name.clone();
+        }
+        let mut report = Report { skipped: opened.skipped, ..Report::default() };
+        if sources.is_empty() {
+            return Ok(report);
+        }
+        let (crs, notes) = sources::agree_on_crs(site_crs, &sources, options.ignore_crs)?;
+        report.notes.extend(notes);
+        let measured = measure(context, &sources, &mut stages)?;
+        let (sources, measured) = (&sources[..], &measured[..]);
+        let batch = Batch { sources, measured, crs, replaced: &replaced, strict: options.strict };
+        add(context, &store, &mut writer, &batch, &mut stages, &mut report)?;
+        fold_if_many(context, &store, &mut writer)?;
+        report.seconds = begun.elapsed().as_secs_f64();
+        report.points_per_second = if report.seconds > 0.0 { report.points as f64 / report.seconds } else { 0.0 };
+        report.peak_memory_bytes = peak_memory();
+        report.stages = stages.into_reports();
+        Ok(report)
+    })
+}
+
+/// Shows or hides scans, by name or number: hidden ones are left out of queries and pictures unless asked for by name.
+/// No point is touched. Gives the names of those that were not so before.
+///
+/// # Errors
+///
+/// [`IngestError::NoScan`] if one of them is not there.
+pub fn set_visible(
+    path: &Path,
+    scans: &[String],
+    visible: bool,
+    resources: &Resources,
+    progress: &dyn Progress,
+) -> Result<Vec<String>, IngestError> {
+    Context::run(path, resources, progress, |context| {
+        let (store, mut writer) = opened(context, Store::open(path)?)?;
+        let snapshot = store.snapshot()?;
+        let found = find_all(snapshot.scans(), scans)?;
+        let changes = |scan: &&Scan| found.contains(&scan.id) && scan.visible != visible;
+        let changed: Vec<Scan> =
+            snapshot.scans().iter().filter(changes).map(|scan| Scan { visible, ..scan.clone() }).collect();
+        drop(snapshot);
+        let names = changed.iter().map(|s| s.name.clone()).collect();
+        if !changed.is_empty() {
+            writer.commit(Flip { scans_changed: changed, ..Flip::default() })?;
+        }
+        Ok(names)
+    })
+}
+
+/// Makes one layer of all and gives free space back to the file system; with `copy`, a compact copy is written there and
+/// the store stays as it is.
+///
+/// # Errors
+///
+/// [`IngestError`]; the store's content is the same in every case.
+pub fn compact(
+    path: &Path,
+    copy: Option<&Path>,
+    resources: &Resources,
+    progress: &dyn Progress,
+) -> Result<Compacted, IngestError> {
+    let Some(copy) = copy else {
+        return Context::run(path, resources, progress, |context| {
+            let begun = Instant::now();
+            let (store, mut writer) = opened(context, Store::open(path)?)?;
+            let bytes_before = file_bytes(path);
+            let layers = store.snapshot()?.index()?.roots().count();
+            fold_all(context, &store, &mut writer)?;
+            writer.compact()?;
+            let bytes_after = file_bytes(path);
+            Ok(Compacted { layers, bytes_before, bytes_after, seconds: begun.elapsed().as_secs_f64() })
+        });
+    };
+    if copy.exists() {
+        return Err(IngestError::OutputThere(copy.to_owned()));
+    }
+    // Under another name until it is whole.
+    let unfinished = PathBuf::from(format!("{}.partial", copy.display()));
+    let bytes_before = file_bytes(path);
+    let copied = Context::run(path, resources, progress, |context| {
+        let (_, writer) = opened(context, Store::open(path)?)?;
+        writer.copy_to(&unfinished)?;
+        Ok(())
+    })
+    .and_then(|()| compact(&unfinished, None, resources, progress));
+    match copied {
+        Ok(compacted) => {
+            std::fs::rename(&unfinished, copy).map_err(|source| IngestError::Copy { path: copy.to_owned(), source })?;
+            Ok(Compacted { bytes_before, ..compacted })
+        }
+        Err(error) => {
+            remove_store(&unfinished);
+            Err(error)
+        }
+    }
+}
+
+/// The two hashes of a store, with layers as with one: [`crate::store::digest`] of what compacting it would give.
+///
+/// # Errors
+///
+/// [`IngestError::Store`] if anything can't be read.
+pub fn digest(path: &Path, resources: &Resources, progress: &dyn Progress) -> Result<Digest, IngestError> {
+    Context::run(path, resources, progress, |context| {
+        let snapshot = Store::open(path)?.snapshot()?;
+        if snapshot.index()?.roots().count() < 2 {
+            return Ok(crate::store::digest(&snapshot)?);
+        }
+        digest_of_all(context, &snapshot)
+    })
+}
+
+fn file_bytes(path: &Path) -> u64 {
+    std::fs::metadata(path).map_or(0, |m| m.len())
+}
+
+/// The numbers of scans given by name or number, ascending.
+fn find_all(scans: &[Scan], wanted: &[String]) -> Result<Vec<ScanId>, IngestError> {
+    let mut found = wanted.iter().map(|w| find(scans, w)).collect::<Result<Vec<_>, _>>()?;
+    found.sort_unstable();
+    found.dedup();
+    Ok(found)
+}
+
+fn find(scans: &[Scan], wanted: &str) -> Result<ScanId, IngestError> {
+    // A name goes before a number: a scan may be called '7'.
+    let named = scans.iter().find(|s| s.name == wanted);
+    let numbered = || wanted.parse::<ScanId>().ok().and_then(|id| scans.iter().find(|s| s.id == id));
+    if let Some(scan) = named.or_else(numbered) {
+        return Ok(scan.id);
+    }
+    let alike = scans.iter().find(|s| s.name.eq_ignore_ascii_case(wanted) || s.name.starts_with(wanted));
+    let nearest = alike.map_or(String::new(), |s| format!(" (did you mean '{}'?)", s.name));
+    Err(IngestError::NoScan { wanted: wanted.to_owned(), nearest })
+}

@@ -1,0 +1,184 @@
+//! Several stores on one lattice to one: what a single ingest of everything would have given.
+
+use super::IngestError;
+use super::bulk::{Layer, Room, params};
+use super::context::{Context, Resources};
+use super::gather::ScanColumns;
+use super::layers::scan_table;
+use super::naming::unique_scan_name;
+use super::partition::RowPlan;
+use super::progress::{Progress, Stage};
+use super::run::{opened, remove_store};
+use super::stored::StoredPoints;
+use crate::lattice::{Cube, Key, LatticeBox};
+use crate::points::Attribute;
+use crate::store::model::{Scan, Site};
+use crate::store::{Flip, NodeChange, SiteOptions, Snapshot, Store, Writer};
+use serde::Serialize;
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What [`merge`] did.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Merged {
+    /// The names of the scans in the new store.
+    pub scans: Vec<String>,
+    /// Scans that several of the stores have, by name: they are taken once.
+    pub skipped: Vec<String>,
+    /// Points.
+    pub points: u64,
+    /// Wall time.
+    pub seconds: f64,
+}
+
+/// A store to be joined.
+struct Shard {
+    path: PathBuf,
+    snapshot: Snapshot,
+}
+
+/// Joins `stores` to a new store at `out`; hidden scans stay hidden.
+///
+/// # Errors
+///
+/// [`IngestError::NotAlike`] if they don't have one lattice and one CRS, [`IngestError::OutputThere`]; no store is left
+/// behind then.
+pub fn merge(
+    out: &Path,
+    stores: &[PathBuf],
+    resources: &Resources,
+    progress: &dyn Progress,
+) -> Result<Merged, IngestError> {
+    Context::run(out, resources, progress, |context| {
+        let begun = Instant::now();
+        if out.exists() {
+            return Err(IngestError::OutputThere(out.to_owned()));
+        }
+        let shards = stores
+            .iter()
+            .map(|path| Ok(Shard { path: path.clone(), snapshot: Store::open(path)?.snapshot()? }))
+            .collect::<Result<Vec<_>, IngestError>>()?;
+        let site = agreed(&shards)?;
+        let store = Store::create(
+            out,
+            SiteOptions {
+                lattice: site.lattice.clone(),
+                g: site.g,
+                leaf_capacity: site.leaf_capacity,
+                crs: site.crs.clone(),
+            },
+        )?;
+        let joined = opened(context, store).and_then(|(_, mut writer)| join(context, &shards, &site, &mut writer));
+        match joined {
+            Ok(merged) => Ok(Merged { seconds: begun.elapsed().as_secs_f64(), ..merged }),
+            Err(error) => {
+                remove_store(out);
+                Err(error)
+            }
+        }
+    })
+}
+
+/// The site of them all.
+fn agreed(shards: &[Shard]) -> Result<Site, IngestError> {
+    let Some(first) = shards.first() else {
+        return Err(IngestError::Internal("no stores to join".into()));
+    };
+    let mut site = first.snapshot.site().clone();
+    for shard in &shards[1..] {
+        let other = shard.snapshot.site();
+        let refuse =
+            |why: String| Err(IngestError::NotAlike { first: first.path.clone(), path: shard.path.clone(), why });
+        if other.lattice != site.lattice {
+            let quantum = |s: &Site| s.lattice.quantum().map(|q| q.to_string()).join(" x ");
+            let phase = |s: &Site| s.lattice.phase().map(|p| p.to_string()).join(" x ");
+            return refuse(format!(
+                "its lattice has quantum {} and phase {}, the other's {} and {}; ingest its scans again with --lattice {}",
+                quantum(other),
+                phase(other),
+                quantum(&site),
+                phase(&site),
+                first.path.display(),
+            ));
+        }
+        if (other.g, other.leaf_capacity) != (site.g, site.leaf_capacity) {
+            return refuse("its nodes are of another size".into());
+        }
+        match (&site.crs, &other.crs) {
+            (Some(a), Some(b)) if a.same_as(b) == Some(false) => {
+                return refuse(format!("its CRS is {}, the other's {}", b.describe(), a.describe()));
+            }
+            (None, Some(crs)) => site.crs = Some(crs.clone()),
+            _ => {}
+        }
+    }
+    Ok(site)
+}
+
+fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Writer) -> Result<Merged, IngestError> {
+    let mut merged = Merged::default();
+    let mut seen = HashSet::new();
+    let mut names = HashSet::new();
+    let mut scans: Vec<Scan> = Vec::new();
+    let mut parts = Vec::new();
+    for shard in shards {
+        let first_slot = u32::try_from(scans.len()).unwrap_or(u32::MAX);
+        let new: HashSet<_> = shard.snapshot.scans().iter().filter(|s| seen.insert(s.identity)).map(|s| s.id).collect();
+        let twice = shard.snapshot.scans().iter().filter(|s| !new.contains(&s.id));
+        merged.skipped.extend(twice.map(|s| s.name.clone()));
+        let part = StoredPoints::new(&shard.path, &shard.snapshot, None, first_slot, |s| new.contains(&s.id))?;
+        for scan in part.scans() {
+            let attributes: Vec<Attribute> = scan
+                .attributes
+                .iter()
+                .filter_map(|&slot| shard.snapshot.attribute(slot))
+                .map(|a| a.attribute.clone())
+                .collect();
+            scans.push(Scan {
+                id: writer.reserve_scan(),
+                name: unique_scan_name(&scan.name, &mut names),
+                attributes: writer.add_attributes(&attributes)?,
+                ..(*scan).clone()
+            });
+        }
+        parts.push(part);
+    }
+    let plans: Vec<Vec<RowPlan>> = parts.iter().map(StoredPoints::row_plans).collect();
+    let points: u64 = parts.iter().map(StoredPoints::points).sum();
+    let payload: u64 = parts.iter().map(StoredPoints::payload_bytes).sum();
+    let hint = parts.iter().filter_map(StoredPoints::bounds).reduce(|a, b| a.union(&b));
+    let room = Room::new(context, site.g, hint, points, payload, payload / 2)?;
+    let partition = room.partition(&site.lattice);
+    context.progress.stage(Stage::Read, points);
+    let mut bounds: Option<LatticeBox> = None;
+    for (part, plans) in parts.iter().zip(&plans) {
+        let found = if room.wide {
+            part.read::<Key>(&partition, plans, room.budget.open_bytes, context.progress)?
+        } else {
+            part.read::<u64>(&partition, plans, room.budget.open_bytes, context.progress)?
+        };
+        bounds = bounds.into_iter().chain(found).reduce(|a, b| a.union(&b));
+    }
+    let buckets = partition.finish();
+    let mut flip = Flip { crs: site.crs.clone(), ..Flip::default() };
+    if let Some(bounds) = bounds {
+        let root = Cube::spanning(bounds.min, bounds.max, site.g);
+        let columns: Vec<_> = scans
+            .iter()
+            .zip(plans.iter().flatten())
+            .map(|(s, plan)| ScanColumns::new(s.id, s.identity, plan, s.attributes.clone()))
+            .collect();
+        let table = scan_table(writer.attributes(), &scans);
+        let ids = writer.chunk_ids();
+        let layer = Layer { layer: 0, params: params(site), root, scans: &columns, table: &table, ids };
+        context.progress.stage(Stage::Build, points);
+        flip.nodes = NodeChange::ReplaceAll(room.write(context, writer, &layer, buckets)?);
+        flip.roots = Some(vec![Some(root)]);
+    }
+    merged.points = points;
+    merged.scans = scans.iter().map(|s| s.name.clone()).collect();
+    context.progress.stage(Stage::Commit, points);
+    writer.commit(Flip { scans_added: scans, ..flip })?;
+    Ok(merged)
+}

@@ -340,7 +340,7 @@ impl<'a> Worker<'a> {
     }
 }
 
-impl<K: SortKey> NodeScratch<K> {
+impl<K: RowKey> NodeScratch<K> {
     /// Takes the bucket's points with these indices.
     fn fill(&mut self, points: &[u32], keys: &[K], wins: &[i8], order: &[u32]) {
         self.keys.clear();

@@ -2,10 +2,12 @@
 
 use super::IngestError;
 use super::bulk::{Layer, Room, params};
-use super::change::{Edit, Ground, NewRows, change};
+use super::change::{Edit, Ground, NewRows, POINT_BYTES, change};
 use super::context::Context;
 use super::gather::ScanColumns;
-use super::layers::{Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw};
+use super::layers::{
+    MOST_INSERTED, Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw,
+};
 use super::measure::{WorldBounds, hinted_bounds};
 use super::partition::{Bucket, RowPlan, ScanTally};
 use super::progress::Stage;
@@ -138,7 +140,8 @@ fn build(
     let table = scan_table(writer.attributes(), snapshot.scans().iter().chain(new.scans));
     let ground = Ground { snapshot, index: &index, params: params(site), scans: &order, table: &table };
     let rows: u64 = buckets.iter().map(|b| b.rows).sum();
-    let small = room.is_memory() && rows.saturating_mul(super::change::POINT_BYTES) <= context.memory;
+    let fits = rows <= MOST_INSERTED && rows.saturating_mul(POINT_BYTES) <= context.memory;
+    let small = room.is_memory() && fits;
     let columns = new.columns();
 
     let mut edits = Vec::new();

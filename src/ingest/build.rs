@@ -8,7 +8,7 @@ use super::partition::Bucket;
 use super::progress::Progress;
 use super::rows::RowKey;
 use super::spill::Spill;
-use crate::lattice::{Cube, SortKey};
+use crate::lattice::Cube;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{self, Params, first_win, put_wins};
 use crate::store::{

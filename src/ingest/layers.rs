@@ -23,6 +23,10 @@ use std::sync::{Mutex, PoisonError};
 /// Points that may be rewritten for each new one, beside two leaves full.
 const MOST_REWRITTEN: u64 = 8;
 
+/// More new points than this are not put into a tree one by one: a layer of them is built on all threads, which is
+/// several times quicker a point.
+pub(super) const MOST_INSERTED: u64 = 1 << 21;
+
 /// More layers than this are folded.
 const MOST_LAYERS: usize = 8;
 

@@ -3,6 +3,7 @@
 mod answers;
 mod bad_input;
 mod canonical;
+mod changes;
 mod faults;
 mod fidelity;
 mod floors;

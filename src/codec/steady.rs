@@ -9,7 +9,6 @@ use super::lines::{Fit, MAX_PASSES, Place, nearest};
 use super::numbers::{self, Numbers, unzigzag, zigzag};
 use super::passes::BlockPasses;
 use super::reader::{Reader, put_varint};
-use super::residual::{SAMPLE, plan};
 use super::scratch::Decoder;
 use super::stream::StreamWriter;
 
@@ -17,10 +16,10 @@ use super::stream::StreamWriter;
 const RATE_BITS: u32 = 20;
 
 /// Every so many points are looked at.
-const STRIDE: usize = 16;
+const STRIDE: usize = 24;
 
-/// The estimate must be so much better.
-const GAIN: f32 = 0.9;
+/// The estimate must be so much better: it is rough, and trying takes time.
+const GAIN: f32 = 0.8;
 
 /// What numbers of a pass are expected to be.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -93,20 +92,18 @@ impl SteadyBuffers {
             let base = nearest(seen.fit.constant(rates));
             Course { base, rates: rates.map(|rate| nearest(rate * f64::from(1 << RATE_BITS))) }
         }));
-        let mut off = [0; SAMPLE];
-        let mut taken = 0;
-        let mut all = 0;
-        for (off, i) in off.iter_mut().zip(sample()) {
-            *off = self.off(passes, i, number(i));
-            all |= *off;
+        // The bits of each, and about one more to tell how many they are.
+        let (mut bits, mut taken, mut all) = (0, 0, 0);
+        for i in sample() {
+            let off = self.off(passes, i, number(i));
+            bits += u64::BITS - off.leading_zeros();
             taken += 1;
+            all |= off;
         }
-        let mut cost = plan(&off[..taken], u64::BITS - all.leading_zeros(), count).cost_bits;
-        if all > 2 {
-            // No symbol takes less than a bit, unless nearly all are the same.
-            cost = cost.max(count as f32);
-        }
-        cost < GAIN * 8.0 * limit_bytes as f32
+        // No symbol takes less than a bit, unless nearly all are the same.
+        let least = if all > 2 { 1.0 } else { 0.0 };
+        let bits = (bits as f32 / taken as f32).max(least) + least;
+        bits * (count as f32) < GAIN * 8.0 * limit_bytes as f32
     }
 
     #[inline]

@@ -87,6 +87,9 @@ pub(super) fn scan_json(scan: &Scan, lattice: &Lattice) -> Value {
         "positions": scan.exactness.word(),
         "max_error": scan.largest_error,
         "bounds": bounds_json(lattice, scan.bounds.as_ref()),
+        // Row-major, world from scan; the scanner stood where it takes the origin.
+        "pose": scan.pose,
+        "scanner": [scan.pose[3], scan.pose[7], scan.pose[11]],
         "color_depth": scan.color_depth,
         "visible": scan.visible,
         "time": scan.time,

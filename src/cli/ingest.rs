@@ -2,6 +2,8 @@
 
 use super::progress::{Mode, Shown};
 use super::{Outcome, output, values};
+use crate::formats::{parse_columns, read_poses};
+use crate::geometry::Pose;
 use crate::ingest::{IngestOptions, LatticeWish, Report, ingest};
 use crate::lattice::Lattice;
 use crate::points::Crs;
@@ -12,12 +14,16 @@ use std::path::PathBuf;
 
 /// Puts point files into a store, creating it if it is not there.
 ///
-/// Reads LAS 1.0 to 1.4, LAZ, COPC and PLY. Every file is a scan; a folder means all point files in it. Files that the
-/// store has already are skipped, so an interrupted command is resumed by giving it again.
+/// Reads LAS 1.0 to 1.5, LAZ, COPC, PLY, E57, PTX, PTS, PCD and rows of text (XYZ, TXT, CSV, ASC). Every file is a scan,
+/// and so is every scan inside an E57 file and every block of PTX and PTS; a folder means all point files in it. Scans that
+/// the store has already are skipped, so an interrupted command is resumed by giving it again.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  esker ingest site.esker north.laz south.laz\n  \
                   esker ingest site.esker scans/ --recursive --memory 4GiB\n  \
                   esker ingest model.esker bunny.ply --quantum 0.0001\n  \
+                  esker ingest site.esker setups.e57 survey.ptx\n  \
+                  esker ingest site.esker local.las --pose station.txt\n  \
+                  esker ingest site.esker points.csv --columns x,y,z,-,intensity\n  \
                   esker ingest site.esker tile.las --crs EPSG:25832 --json")]
 pub(super) struct Arguments {
     /// The store, a file that usually ends in .esker.
@@ -50,6 +56,14 @@ pub(super) struct Arguments {
     /// The scan's name, for a single input (default: the file's name without its ending).
     #[arg(long)]
     name: Option<String>,
+    /// Where the inputs stand: a file of poses, one for each input file in their order; may be given several times. A pose
+    /// is a row-major 4 x 4 matrix, or tx ty tz qw qx qy qz; text or JSON. It comes after a file's own pose.
+    #[arg(long = "pose", value_name = "FILE")]
+    poses: Vec<PathBuf>,
+    /// What the columns of text files are, such as x,y,z,intensity,red,green,blue; `-` for one that is not read (default:
+    /// their header line, or the customary ones).
+    #[arg(long, value_name = "A,B,..", value_parser = columns)]
+    columns: Option<Columns>,
     /// Look for point files in folders below, too.
     #[arg(long)]
     recursive: bool,
@@ -84,6 +98,8 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         crs: arguments.crs.as_deref().map(parse_crs).transpose()?,
         ignore_crs: arguments.ignore_crs,
         name: arguments.name,
+        poses: poses(&arguments.poses)?,
+        columns: arguments.columns.map(|c| c.0),
         recursive: arguments.recursive,
         strict: arguments.strict,
         wait: arguments.wait,
@@ -147,6 +163,23 @@ pub(super) fn print(report: &Report) -> std::io::Result<()> {
         ))?;
     }
     Ok(())
+}
+
+/// Names of columns, as one argument.
+#[derive(Clone, Debug)]
+pub(super) struct Columns(pub Vec<String>);
+
+pub(super) fn columns(text: &str) -> Result<Columns, String> {
+    parse_columns(text).map(Columns)
+}
+
+/// The poses of all files, in their order.
+pub(super) fn poses(files: &[PathBuf]) -> anyhow::Result<Vec<Pose>> {
+    let mut poses = Vec::new();
+    for file in files {
+        poses.extend(read_poses(file)?);
+    }
+    Ok(poses)
 }
 
 fn parse_crs(text: &str) -> anyhow::Result<Crs> {

@@ -16,6 +16,7 @@ mod remove;
 #[cfg(feature = "render")]
 mod render;
 mod replace;
+mod scan_frame;
 mod scans;
 mod values;
 mod verify;

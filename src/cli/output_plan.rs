@@ -1,6 +1,7 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
 use crate::formats::{LasTarget, OutputPlan};
+use crate::geometry::Pose;
 use crate::lattice::{BIAS, LatticeBox, LatticePoint};
 use crate::points::LasFacts;
 use crate::query::OutputForm;
@@ -76,7 +77,10 @@ fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
             && first.undescribed_bytes == other.undescribed_bytes
             && described(first) == described(other)
     };
-    let all = scans.iter().all(|s| s.las.as_ref().is_some_and(same) && s.attributes == scans[0].attributes);
+    // A scan that was moved has its file's grid no more.
+    let unmoved = |s: &Scan| Pose::from_matrix(&s.pose).is_ok_and(|p| p.is_identity());
+    let all =
+        scans.iter().all(|s| s.las.as_ref().is_some_and(same) && s.attributes == scans[0].attributes && unmoved(s));
     all.then_some(first)
 }
 

@@ -1,6 +1,7 @@
 //! `esker query`: points out, by region, filter and detail.
 
 use super::output_plan::{Planned, plan};
+use super::scan_frame::ScanFrame;
 use super::{Outcome, output, values};
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
 use crate::geometry::Camera;
@@ -23,7 +24,8 @@ use std::path::{Path, PathBuf};
                   esker query site.esker --sphere 500010,5000020,130,5 --attributes Red,Green,Blue -o tree.ply\n  \
                   esker query site.esker --max-error 0.05 -o overview.laz\n  \
                   esker query site.esker --capacity 100000 -o - --format csv | head\n  \
-                  esker query site.esker --scan north --count\n\n\
+                  esker query site.esker --scan north --count\n  \
+                  esker query site.esker --scan north --frame scan -o north_local.las\n\n\
                   Boxes are half-open: a point on a maximum face is outside; `inf` is a number. Filters compare \
                   attributes with numbers (= <> < <= > >=, between, in, is null, and, or, not), `scan` with names."
 )]
@@ -75,6 +77,10 @@ pub(super) struct Arguments {
     /// LAS and LAZ: coordinates in these steps, one number or one per axis.
     #[arg(long, value_name = "S[,S,S]", value_parser = values::per_axis, requires = "output")]
     scale: Option<[f64; 3]>,
+    /// In which frame coordinates are written: the world's, or the one of the scan, where its scanner is the origin
+    /// (regions and filters are always the world's).
+    #[arg(long, value_enum, value_name = "WHICH", default_value_t = Frame::World, requires = "output")]
+    frame: Frame,
     /// One file per scan: `out.las` becomes `out_NAME.las`.
     #[arg(long, value_enum, value_name = "WHAT", requires = "output")]
     split_by: Option<SplitBy>,
@@ -99,6 +105,12 @@ enum Format {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SplitBy {
+    Scan,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Frame {
+    World,
     Scan,
 }
 
@@ -336,7 +348,11 @@ fn write(
     format: OutputFormat,
 ) -> anyhow::Result<Answer> {
     let form = query.output_form(snapshot)?;
-    let planned = plan(snapshot, &form, arguments.attributes.is_empty(), arguments.scale)?;
+    let frame = (arguments.frame == Frame::Scan).then(|| ScanFrame::of(snapshot, &form)).transpose()?;
+    let mut planned = plan(snapshot, &form, arguments.attributes.is_empty(), arguments.scale)?;
+    if let Some(frame) = &frame {
+        frame.plan(&mut planned, arguments.scale)?;
+    }
     for note in &planned.notes {
         eprintln!("esker: {note}");
     }
@@ -354,7 +370,8 @@ fn write(
     let mut failure = None;
     let answer = query.run(snapshot, |mut batch| {
         deepen(&mut batch, &planned);
-        match writer.write(&batch) {
+        let moved = frame.as_ref().map_or(Ok(()), |f| f.apply(&mut batch));
+        match moved.and_then(|()| Ok(writer.write(&batch)?)) {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
                 failure = Some(error);
@@ -363,7 +380,7 @@ fn write(
         }
     })?;
     if let Some(error) = failure {
-        return Err(error.into());
+        return Err(error);
     }
     for note in writer.finish()? {
         eprintln!("esker: {}", output::clean(&note));

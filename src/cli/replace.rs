@@ -11,7 +11,8 @@ use std::path::PathBuf;
 /// Without a file, the scan's own source is read again.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  esker replace site.esker roof roof-cleaned.laz\n  \
-                  esker replace site.esker roof            # the same file, read again")]
+                  esker replace site.esker roof            # the same file, read again\n  \
+                  esker replace site.esker roof --pose registered.txt")]
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
@@ -19,6 +20,12 @@ pub(super) struct Arguments {
     scan: String,
     /// The new file (default: the scan's source).
     input: Option<PathBuf>,
+    /// Where the scan stands: a file with one pose, as for `ingest` (default for the same file: as before).
+    #[arg(long, value_name = "FILE")]
+    pose: Option<PathBuf>,
+    /// What the columns of a text file are, as for `ingest`.
+    #[arg(long, value_name = "A,B,..", value_parser = super::ingest::columns)]
+    columns: Option<super::ingest::Columns>,
     /// The new scan's name (default: the old one's).
     #[arg(long)]
     name: Option<String>,
@@ -41,6 +48,8 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         memory_bytes: arguments.changing.memory,
         threads: arguments.changing.threads.map(usize::from),
         wait: arguments.changing.wait,
+        poses: super::ingest::poses(arguments.pose.as_slice())?,
+        columns: arguments.columns.map(|c| c.0),
         ignore_crs: arguments.ignore_crs,
         name: arguments.name,
         strict: arguments.strict,

@@ -1,6 +1,6 @@
 //! Every real file that the data folder lists, against what its README says of it.
 
-use super::{Piece, ReadOptions, SourceInfo, open};
+use super::{Piece, PointSource, ReadOptions, SourceInfo, open, open_all};
 use crate::points::PositionKind;
 use std::path::{Path, PathBuf};
 
@@ -50,15 +50,27 @@ struct Whole {
     info: SourceInfo,
     read: u64,
     bounds: [[f64; 2]; 3],
+    own_bounds: [[f64; 2]; 3],
+    /// Records that have a position.
+    finite: u64,
     /// A number per byte of a record that depends on all records and their order.
     sums: Vec<u64>,
 }
 
 fn read_all(path: &Path, target: u64) -> Result<Whole, String> {
-    let source = open(path, &ReadOptions::default()).map_err(|e| e.to_string())?;
+    read_source(&*open(path, &ReadOptions::default()).map_err(|e| e.to_string())?, target)
+}
+
+fn read_scans(path: &Path) -> Result<Vec<Whole>, String> {
+    let sources = open_all(path, &ReadOptions::default()).map_err(|e| e.to_string())?;
+    sources.iter().map(|s| read_source(&**s, 1000)).collect()
+}
+
+fn read_source(source: &dyn PointSource, target: u64) -> Result<Whole, String> {
     let info = source.info().clone();
     let stride = info.layout.stride();
-    let mut whole = Whole { read: 0, bounds: [[f64::INFINITY, f64::NEG_INFINITY]; 3], sums: vec![0; stride], info };
+    let nowhere = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
+    let mut whole = Whole { read: 0, bounds: nowhere, own_bounds: nowhere, finite: 0, sums: vec![0; stride], info };
     let mut next = 0;
     for piece in source.pieces(target) {
         assert_eq!(piece.first, next);
@@ -70,7 +82,7 @@ fn read_all(path: &Path, target: u64) -> Result<Whole, String> {
         };
         let tally = source.read(piece, &mut sink).map_err(|e| e.to_string())?;
         whole.read += tally.read;
-        assert_eq!(tally.read + tally.truncated, piece.records, "{}", path.display());
+        assert_eq!(tally.read + tally.truncated, piece.records, "{}", whole.info.path.display());
     }
     assert_eq!(next, whole.info.records);
     Ok(whole)
@@ -79,15 +91,29 @@ fn read_all(path: &Path, target: u64) -> Result<Whole, String> {
 impl Whole {
     fn add(&mut self, record: &[u8]) {
         self.sums.iter_mut().zip(record).for_each(|(s, b)| *s = s.wrapping_mul(3).wrapping_add((*b).into()));
-        let world: [f64; 3] = match (&self.info.las, self.info.layout.position) {
+        let world = self.position(record);
+        for (bounds, w) in self.bounds.iter_mut().zip(world) {
+            *bounds = [bounds[0].min(w), bounds[1].max(w)];
+        }
+        // In the scan's own frame, if it has one of its own; a record without a position counts for nothing here.
+        let own = self.info.pose.scan_from_world(world);
+        self.finite += u64::from(own.iter().all(|v| v.is_finite()));
+        for (bounds, w) in self.own_bounds.iter_mut().zip(own) {
+            *bounds = [bounds[0].min(w), bounds[1].max(w)];
+        }
+    }
+
+    fn position(&self, record: &[u8]) -> [f64; 3] {
+        match (&self.info.las, self.info.layout.position) {
             (Some(las), PositionKind::Grid) => std::array::from_fn(|i| {
                 let x = i32::from_le_bytes(record[4 * i..4 * i + 4].try_into().unwrap());
                 f64::from(x) * las.scale[i] + las.offset[i]
             }),
+            (None, PositionKind::Grid) => {
+                let x = std::array::from_fn(|i| i32::from_le_bytes(record[4 * i..4 * i + 4].try_into().unwrap()));
+                self.info.grid.unwrap().world(x)
+            }
             _ => std::array::from_fn(|i| f64::from_le_bytes(record[8 * i..8 * i + 8].try_into().unwrap())),
-        };
-        for (bounds, w) in self.bounds.iter_mut().zip(world) {
-            *bounds = [bounds[0].min(w), bounds[1].max(w)];
         }
     }
 }
@@ -138,6 +164,108 @@ fn real_files_hold_what_their_list_says() {
         }
     }
     assert!(checked > 90, "{checked}");
+}
+
+/// E57, PTX, PTS, PCD and text files that can't be read, and what the error says.
+const REFUSED_SCANS: &[(&str, &str)] = &[
+    ("cryinc_e57/corrupt_crc.e57", "with the right checksum (CRC), found another checksum"),
+    ("cryinc_e57/empty.e57", "expected a scan in the file, found none"),
+    ("pdal_pcd_ply/missingheader.pcd", "at byte 0: expected a PCD header"),
+];
+
+/// Records, those of them with a position, records that are missing.
+type Counts = (u64, u64, u64);
+
+/// Scans that the list gives no counts of: records, those of them with a position, records that are missing.
+const COUNTED: &[(&str, &[Counts])] = &[
+    ("loadersgl/ripple.ptx", &[(10_201, 10_201, 44_492_015)]),
+    ("pdal_pts_ptx/1.2-with-color.ptx", &[(1065, 1065, 0)]),
+    ("pdal_pts_ptx/complex-transform.ptx", &[(12, 4, 0)]),
+    ("pdal_pts_ptx/multiple-and-transform.ptx", &[(4, 4, 0), (4, 4, 0)]),
+    ("pdal_pts_ptx/no-color.ptx", &[(15, 15, 0)]),
+];
+
+/// One scan as a line of the list has it: points, columns, bounds in its own frame.
+type Listed = (u64, Vec<String>, Option<[[f64; 2]; 3]>);
+
+/// The scans of a line on an E57 file.
+fn listed_e57(facts: &str) -> Vec<Listed> {
+    let scan = |text: &str| {
+        let line = Line { file: String::new(), facts: text.to_owned() };
+        let columns = text.split_once('(')?.1.split_once(')')?.0.split(',').map(str::to_owned).collect();
+        Some((line.count(" pts (")?, columns, line.bounds()))
+    };
+    let scans = facts.split_once("scan(s): ").map_or("", |(_, scans)| scans);
+    scans.split(" | ").filter_map(scan).collect()
+}
+
+#[test]
+fn real_scans_hold_what_their_list_says() {
+    let Some(folder) = folder() else { return };
+    let list = std::fs::read_to_string(folder.join("README.md")).unwrap();
+    let endings = [".e57", ".ptx", ".pts", ".pcd", ".xyz", ".txt"];
+    let mut checked = 0;
+    for line in list.lines().filter_map(|l| l.strip_prefix("- ")) {
+        let name = line.split(" | ").next().unwrap();
+        if !endings.iter().any(|e| name.ends_with(e)) {
+            continue;
+        }
+        let facts = line.split_once(" B | ").unwrap().1.split(" | licence").next().unwrap();
+        checked += 1;
+        let result = read_scans(&folder.join(name));
+        if let Some((_, message)) = REFUSED_SCANS.iter().find(|(refused, _)| *refused == name) {
+            let error = result.err().unwrap_or_default();
+            assert!(error.contains(message), "{name}: {error}");
+            continue;
+        }
+        let scans = result.unwrap_or_else(|e| panic!("{name}: {e}"));
+        let near = |found: [[f64; 2]; 3], expected: [[f64; 2]; 3]| {
+            let pairs = found.into_iter().flatten().zip(expected.into_iter().flatten());
+            pairs.into_iter().all(|(a, b)| (a - b).abs() <= 2e-9 * b.abs().max(1.0))
+        };
+        if facts.starts_with("E57") {
+            let listed = listed_e57(facts);
+            assert_eq!(listed.len(), scans.len(), "{name}");
+            for (whole, (points, columns, bounds)) in scans.iter().zip(listed) {
+                assert_eq!((whole.read, whole.info.missing), (points, 0), "{name}");
+                let states = columns.iter().filter(|c| c.ends_with("InvalidState")).count();
+                assert_eq!(whole.info.layout.attributes.len(), columns.len() - 3 - states, "{name}: {columns:?}");
+                if let (Some(bounds), true) = (bounds, whole.finite == whole.read) {
+                    assert!(near(whole.own_bounds, bounds), "{name}: {:?} {bounds:?}", whole.own_bounds);
+                }
+            }
+            continue;
+        }
+        if let Some((_, expected)) = COUNTED.iter().find(|(counted, _)| *counted == name) {
+            let found: Vec<_> = scans.iter().map(|w| (w.read, w.finite, w.info.missing)).collect();
+            assert_eq!(found, *expected, "{name}");
+            continue;
+        }
+        let line = Line { file: name.to_owned(), facts: facts.replace("['", "").replace("']", "") };
+        let count = line.count(" numeric rows").or(line.count(" pts ("));
+        assert_eq!(Some(scans[0].read), count, "{name}");
+        assert_eq!((scans.len(), scans[0].finite, scans[0].info.missing), (1, scans[0].read, 0), "{name}");
+        if let Some(bounds) = line.bounds() {
+            assert!(near(scans[0].bounds, bounds), "{name}: {:?} {bounds:?}", scans[0].bounds);
+        }
+    }
+    assert!(checked >= 40, "{checked}");
+}
+
+#[test]
+fn posed_blocks_stand_where_their_transforms_say() {
+    let Some(folder) = folder() else { return };
+    // The first block is the second one, 600 km away and half as high: its transform brings it there.
+    let scans = read_scans(&folder.join("pdal_pts_ptx/multiple-and-transform.ptx")).unwrap();
+    for (a, b) in scans[0].bounds.iter().flatten().zip(scans[1].bounds.iter().flatten()) {
+        assert!((a - b).abs() < 1e-9, "{a} {b}");
+    }
+    assert!(scans[0].info.warnings[0].contains("stretches axes by different factors"));
+    // Row vectors: p R + t, with numbers of the file.
+    let scans = read_scans(&folder.join("pdal_pts_ptx/complex-transform.ptx")).unwrap();
+    let x = -0.005_63 * 0.999_979 + 0.645_218 * 0.003_613 - 0.440_506 * 0.005_359 - 3.028_748;
+    assert!(scans[0].bounds[0].iter().any(|b| (b - x).abs() < 1e-4), "{:?}", scans[0].bounds);
+    assert_eq!(scans[0].info.pose.scanner(), [-3.028_748, -3.819_741, -1.384_333]);
 }
 
 #[test]
@@ -207,7 +335,9 @@ fn pieces_of_any_size_are_the_same_records() {
             };
             source.read(piece, &mut sink).unwrap();
         }
-        let mut whole = Whole { info: one.info.clone(), read: 0, bounds: one.bounds, sums: vec![0; one.sums.len()] };
+        let (bounds, own_bounds) = (one.bounds, one.own_bounds);
+        let sums = vec![0; one.sums.len()];
+        let mut whole = Whole { info: one.info.clone(), read: 0, bounds, own_bounds, finite: 0, sums };
         all.chunks_exact(whole.sums.len()).for_each(|r| whole.add(r));
         assert_eq!(all.len() / whole.sums.len(), one.read as usize);
         assert_eq!(whole.sums, one.sums);

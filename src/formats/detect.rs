@@ -1,9 +1,11 @@
-//! Which format a file has: by its first bytes, then by its name.
+//! Which format a file has: by its first bytes, then by its name and the shape of its first lines.
 
 use super::file::SourceFile;
 use super::las::{LasSource, quoted};
 use super::ply::PlySource;
-use super::{FormatError, PointSource};
+use super::text::{HEAD_BYTES, Shape, open_pts, open_ptx, open_rows, shape};
+use super::{FormatError, PointSource, e57, pcd, posed};
+use crate::geometry::Pose;
 use std::path::{Path, PathBuf};
 
 /// Formats that can be read.
@@ -13,6 +15,16 @@ pub enum InputFormat {
     Las,
     /// PLY.
     Ply,
+    /// E57, with any number of scans.
+    E57,
+    /// PCD.
+    Pcd,
+    /// Blocks of rows, each with its transform.
+    Ptx,
+    /// Blocks of rows, each with its count.
+    Pts,
+    /// Rows of numbers: XYZ, TXT, CSV, ASC.
+    Text,
 }
 
 impl InputFormat {
@@ -21,7 +33,36 @@ impl InputFormat {
         match &*ending(path) {
             "las" | "laz" => Some(Self::Las),
             "ply" => Some(Self::Ply),
+            "e57" => Some(Self::E57),
+            "pcd" => Some(Self::Pcd),
+            "ptx" => Some(Self::Ptx),
+            "pts" => Some(Self::Pts),
+            "xyz" | "txt" | "csv" | "asc" => Some(Self::Text),
             _ => None,
+        }
+    }
+
+    fn of_bytes(head: &[u8]) -> Option<Self> {
+        let words =
+            |start: &[u8]| head.starts_with(start) && head.get(start.len()).is_some_and(u8::is_ascii_whitespace);
+        if head.starts_with(b"LASF") {
+            Some(Self::Las)
+        } else if words(b"ply") {
+            Some(Self::Ply)
+        } else if head.starts_with(b"ASTM-E57") {
+            Some(Self::E57)
+        } else if head.starts_with(b"# .PCD") || head.starts_with(b"VERSION .7") || head.starts_with(b"VERSION 0.7") {
+            Some(Self::Pcd)
+        } else {
+            None
+        }
+    }
+
+    fn of_shape(shape: Shape) -> Self {
+        match shape {
+            Shape::Ptx => Self::Ptx,
+            Shape::Pts => Self::Pts,
+            Shape::Rows => Self::Text,
         }
     }
 
@@ -29,23 +70,43 @@ impl InputFormat {
         match self {
             Self::Las => "LAS",
             Self::Ply => "PLY",
+            Self::E57 => "E57",
+            Self::Pcd => "PCD",
+            Self::Ptx => "PTX",
+            Self::Pts => "PTS",
+            Self::Text => "rows of text",
+        }
+    }
+
+    /// What a file of this name begins with.
+    fn beginning(self) -> &'static str {
+        match self {
+            Self::Las => "the signature `LASF`",
+            Self::Ply => "the word `ply`",
+            Self::E57 => "the signature `ASTM-E57`",
+            Self::Pcd => "a PCD header (`# .PCD` or `VERSION`)",
+            Self::Ptx => "two counts, four lines of three numbers and four of four",
+            Self::Pts => "a count, or rows of numbers",
+            Self::Text => "rows of numbers, or a line that names x, y and z",
         }
     }
 }
 
 /// How to open a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct ReadOptions {
     /// The format, if it is not to be found out.
     pub format: Option<InputFormat>,
+    /// Applied after a file's own pose.
+    pub pose: Pose,
+    /// Names of the columns of text files, instead of their own or the customary ones; from [`parse_columns`].
+    pub columns: Option<Vec<String>>,
 }
+
+pub use super::text::parse_columns;
 
 /// Point formats that are known by their first bytes but not read.
 const MAGIC: &[(&[u8], &str)] = &[
-    (b"ASTM-E57", "E57"),
-    (b"# .PCD", "PCD"),
-    (b"VERSION .7", "PCD"),
-    (b"VERSION 0.7", "PCD"),
     (b"SQLite format 3\0", "an SQLite database as a point file"),
     (b"PK\x03\x04", "a zip archive"),
     (b"\x1f\x8b", "a gzip archive"),
@@ -56,11 +117,6 @@ const MAGIC: &[(&[u8], &str)] = &[
 
 /// Formats that are known by their ending but not read.
 const ENDINGS: &[(&[&str], &str)] = &[
-    (&["e57"], "E57"),
-    (&["ptx"], "PTX"),
-    (&["pts"], "PTS"),
-    (&["pcd"], "PCD"),
-    (&["xyz", "txt", "csv", "asc"], "text"),
     (&["obj"], "OBJ"),
     (&["stl"], "STL"),
     (&["off"], "OFF"),
@@ -71,19 +127,34 @@ const ENDINGS: &[(&[&str], &str)] = &[
     (&["bin"], "a `.bin` file"),
 ];
 
-const REMEDY: &str = "convert it to LAS, LAZ or PLY first, with PDAL or CloudCompare for example";
+const REMEDY: &str = "convert it to LAS, LAZ, E57 or PLY first, with PDAL or CloudCompare for example";
+const READABLE: &str = "LAS, LAZ, COPC, PLY, E57, PTX, PTS, PCD and text with x, y and z are";
 
 fn ending(path: &Path) -> String {
     path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
 }
 
-/// Opens a point file: by its first bytes, whatever its name.
+/// Opens a point file that holds one scan: by its first bytes, whatever its name.
+///
+/// # Errors
+///
+/// As [`open_all`]; [`FormatError::Unsupported`] for a file with several scans.
+pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, FormatError> {
+    let mut all = open_all(path, options)?;
+    match (all.pop(), all.len()) {
+        (Some(one), 0) => Ok(one),
+        (_, others) => Err(FormatError::unsupported(path, format!("a file with {} scans here", others + 1), "")),
+    }
+}
+
+/// Opens all scans of a point file: by its first bytes, whatever its name. Most formats have one; E57, PTX and PTS may have
+/// any number, but none without.
 ///
 /// # Errors
 ///
 /// [`FormatError::Io`] if it can't be read, [`FormatError::Unsupported`] for directories and for formats that are not read,
 /// [`FormatError::Malformed`] if the file is not what its name or its header says.
-pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, FormatError> {
+pub fn open_all(path: &Path, options: &ReadOptions) -> Result<Vec<Box<dyn PointSource>>, FormatError> {
     let failed = |source| FormatError::Io { path: path.to_owned(), action: "opening", source };
     let kind = std::fs::metadata(path).map_err(failed)?;
     if kind.is_dir() {
@@ -94,62 +165,96 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn PointSource>, 
         return Err(FormatError::unsupported(path, "anything but a regular file", "write the points to a file first"));
     }
     let file = SourceFile::open(path)?;
-    let head = file.read_vec(0, 32)?;
-    let by_name = InputFormat::of_path(path);
+    let format = match options.format {
+        Some(format) => format,
+        None => recognise(&file, options.columns.is_some())?,
+    };
+    let sources = open_as(file, format, options)?;
+    let placed = |source: Box<dyn PointSource>| {
+        let index = source.info().index;
+        posed::place(source, &options.pose).map_err(|e| {
+            FormatError::unsupported(path, format!("the pose of scan {} after the one given ({e})", index + 1), "")
+        })
+    };
+    sources.into_iter().map(placed).collect()
+}
+
+/// The format of a file. `named`: the user says what its columns are, so that text needs no names of its own.
+fn recognise(file: &SourceFile, named: bool) -> Result<InputFormat, FormatError> {
+    let head = file.read_vec(0, HEAD_BYTES)?;
     if head.is_empty() {
         return Err(file.malformed(0, "a point file", "an empty one"));
     }
-    let by_bytes = if head.starts_with(b"LASF") {
-        Some(InputFormat::Las)
-    } else if head.starts_with(b"ply") && head.get(3).is_some_and(u8::is_ascii_whitespace) {
-        Some(InputFormat::Ply)
-    } else {
-        None
-    };
-    if let Some(format) = options.format.or(by_bytes) {
-        return open_as(file, format);
+    if let Some(format) = InputFormat::of_bytes(&head) {
+        return Ok(format);
     }
     if let Some((_, what)) = MAGIC.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err(file.unsupported(*what, REMEDY));
     }
-    if let Some(format) = by_name {
-        let expected = match format {
-            InputFormat::Las => "the signature `LASF`, as the name promises",
-            InputFormat::Ply => "the word `ply`, as the name promises",
-        };
-        return Err(file.malformed(0, expected, quoted(&head[..head.len().min(8)])));
+    let shape = shape(&head).map(InputFormat::of_shape);
+    let found = || quoted(&head[..head.len().min(8)]);
+    match (InputFormat::of_path(file.path()), shape) {
+        // A PTS file may lack its count, and then it is rows.
+        (Some(InputFormat::Pts), Some(InputFormat::Text)) => Ok(InputFormat::Pts),
+        (Some(InputFormat::Ptx), Some(InputFormat::Pts | InputFormat::Text)) => {
+            Err(file.malformed(0, "two counts and a transform, as the name promises", found()))
+        }
+        (Some(InputFormat::Pts | InputFormat::Ptx | InputFormat::Text) | None, Some(shape)) => Ok(shape),
+        (Some(InputFormat::Text), None) if named => Ok(InputFormat::Text),
+        // Its opener says what is wrong, and where.
+        (Some(InputFormat::Text), None)
+            if head.iter().take(512).all(|b| (b' '..=b'~').contains(b) || b.is_ascii_whitespace()) =>
+        {
+            Ok(InputFormat::Text)
+        }
+        // Text in UTF-16 has a remedy.
+        (Some(InputFormat::Text | InputFormat::Pts), None)
+            if head.starts_with(b"\xff\xfe") || head.starts_with(b"\xfe\xff") =>
+        {
+            Ok(InputFormat::Text)
+        }
+        (Some(format), _) => Err(file.malformed(0, format!("{}, as the name promises", format.beginning()), found())),
+        (None, None) => {
+            let ending = ending(file.path());
+            let what = ENDINGS.iter().find(|(endings, _)| endings.contains(&&*ending)).map(|(_, what)| *what);
+            Err(match what {
+                Some(what) => file.unsupported(what, REMEDY),
+                None => file.unsupported("a file of this kind", READABLE),
+            })
+        }
     }
-    let ending = ending(path);
-    let what = ENDINGS.iter().find(|(endings, _)| endings.contains(&&*ending)).map(|(_, what)| *what);
-    Err(match what {
-        Some(what) => file.unsupported(what, REMEDY),
-        None => file.unsupported("a file of this kind", "LAS, LAZ, COPC and PLY files are"),
-    })
 }
 
-fn open_as(file: SourceFile, format: InputFormat) -> Result<Box<dyn PointSource>, FormatError> {
+fn open_as(
+    file: SourceFile,
+    format: InputFormat,
+    options: &ReadOptions,
+) -> Result<Vec<Box<dyn PointSource>>, FormatError> {
     let named = InputFormat::of_path(file.path());
     let warning = named
         .filter(|n| *n != format)
         .map(|n| format!("the name says {}, the content is {}: it is read as that", n.word(), format.word()));
-    Ok(match format {
-        InputFormat::Las => {
-            let mut source = LasSource::open(file)?;
-            source.warn(warning);
-            Box::new(source)
-        }
-        InputFormat::Ply => {
-            let mut source = PlySource::open(file)?;
-            source.warn(warning);
-            Box::new(source)
-        }
-    })
+    let columns = options.columns.as_deref();
+    let mut sources = match format {
+        InputFormat::Las => vec![Box::new(LasSource::open(file)?) as Box<dyn PointSource>],
+        InputFormat::Ply => vec![Box::new(PlySource::open(file)?) as Box<dyn PointSource>],
+        InputFormat::E57 => e57::open(file)?,
+        InputFormat::Pcd => vec![pcd::open(file)?],
+        InputFormat::Ptx => open_ptx(file, columns)?,
+        InputFormat::Pts => open_pts(file, columns)?,
+        InputFormat::Text => open_rows(file, columns)?,
+    };
+    if let (Some(warning), Some(first)) = (warning, sources.first_mut()) {
+        first.warn(warning);
+    }
+    Ok(sources)
 }
 
 /// What a list of paths comes to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Inputs {
-    /// Files to read: those that were named, and those in directories whose ending is that of a readable format.
+    /// Files to read: those that were named, and those in directories whose ending is that of a readable format; of `.txt`,
+    /// `.csv` and `.asc` files there, those that begin like points.
     pub files: Vec<PathBuf>,
     /// Other files in those directories, and directories below them unless they were to be entered.
     pub skipped: Vec<PathBuf>,
@@ -187,13 +292,24 @@ fn list_directory(directory: &Path, recursive: bool, inputs: &mut Inputs) -> Res
             } else {
                 inputs.skipped.push(path);
             }
-        } else if InputFormat::of_path(&path).is_some() {
+        } else if is_point_file(&path) {
             inputs.files.push(path);
         } else {
             inputs.skipped.push(path);
         }
     }
     Ok(())
+}
+
+/// Is it a file of points by its name? Text may be anything, and is looked at.
+fn is_point_file(path: &Path) -> bool {
+    match InputFormat::of_path(path) {
+        Some(InputFormat::Text) => {
+            let head = SourceFile::open(path).and_then(|f| f.read_vec(0, HEAD_BYTES));
+            head.is_ok_and(|head| shape(&head).is_some())
+        }
+        format => format.is_some(),
+    }
 }
 
 #[cfg(test)]
@@ -212,11 +328,18 @@ mod tests {
         assert!(message("a.las", b"").contains("an empty one"));
         assert!(message("a.las", b"hello, world").contains("at byte 0: expected the signature `LASF`"));
         assert!(message("a.ply", b"hello").contains("found `hello`"));
-        assert!(message("a.e57", b"ASTM-E57 and more").contains("E57 is not supported; convert it"));
-        assert!(message("a.las", b"ASTM-E57 and more").contains("E57 is not supported"));
-        assert!(message("a.pts", b"3\n1 2 3\n").contains("PTS is not supported"));
-        assert!(message("a.xyz", b"1 2 3\n").contains("text is not supported"));
-        assert!(message("a", b"\0\x01").contains("LAS, LAZ, COPC and PLY files are"));
+        assert!(message("a.e57", b"hello").contains("expected the signature `ASTM-E57`"));
+        assert!(message("a.e57", b"ASTM-E57 and more").contains("expected an E57 file, found Failed to read E57"));
+        assert!(message("a.pcd", b"1 2 3\n").contains("expected a PCD header"));
+        assert!(message("a.ptx", b"1 2 3\n").contains("expected two counts and a transform"));
+        assert!(
+            message("a.txt", b"hello, world\nand more\n").contains("expected a row of numbers, or a line that names")
+        );
+        assert!(message("a.csv", b"\0\0\0").contains("expected rows of numbers"));
+        assert!(message("a.xyz", b"\xff\xfe1\0 \0").contains("text in UTF-16 is not supported; write it as UTF-8"));
+        assert!(message("a.xyz", b"1 2 3\r4 5 6\r").contains("carriage return alone is not supported"));
+        assert!(message("a.fls", b"\0\x01").contains("FARO is not supported; convert it"));
+        assert!(message("a", b"\0\x01").contains("PTX, PTS, PCD and text with x, y and z are"));
         let folder = tempfile::tempdir().unwrap();
         let directory = open(folder.path(), &ReadOptions::default()).err().unwrap().to_string();
         assert!(directory.contains("a directory as a point file is not supported; name the files in it"));
@@ -240,15 +363,17 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         std::fs::create_dir(at("below")).unwrap();
-        for name in ["b.LAZ", "a.las", "c.copc.laz", "notes.txt", "below/d.ply"] {
+        for name in ["b.LAZ", "a.las", "c.copc.laz", "below/d.ply"] {
             std::fs::write(at(name), "").unwrap();
         }
+        std::fs::write(at("notes.txt"), "1 tripod, 2 targets").unwrap();
+        std::fs::write(at("e.txt"), "1 2 3\n").unwrap();
         let paths = [folder.path().to_owned(), at("notes.txt")];
         let flat = list_inputs(&paths, false).unwrap();
-        assert_eq!(flat.files, ["a.las", "b.LAZ", "c.copc.laz", "notes.txt"].map(at));
+        assert_eq!(flat.files, ["a.las", "b.LAZ", "c.copc.laz", "e.txt", "notes.txt"].map(at));
         assert_eq!(flat.skipped, ["below", "notes.txt"].map(at));
         let deep = list_inputs(&paths[..1], true).unwrap();
-        assert_eq!(deep.files, ["a.las", "b.LAZ", "below/d.ply", "c.copc.laz"].map(at));
+        assert_eq!(deep.files, ["a.las", "b.LAZ", "below/d.ply", "c.copc.laz", "e.txt"].map(at));
         assert!(list_inputs(&[at("none")], false).is_err());
     }
 }

@@ -4,6 +4,7 @@ use super::FormatError;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// An open file and its size.
 #[derive(Debug)]
@@ -101,10 +102,59 @@ impl io::Read for Window<'_> {
     }
 }
 
+/// A whole file as [`io::Read`] and [`io::Seek`], read ahead: a seek to what is there already costs nothing.
+#[derive(Debug)]
+pub(super) struct Buffered {
+    file: Arc<SourceFile>,
+    position: u64,
+    buffer: Vec<u8>,
+    /// Byte of the file at the start of the buffer.
+    base: u64,
+    filled: usize,
+}
+
+impl Buffered {
+    /// From the start of `file`, with a buffer of `bytes`.
+    pub fn new(file: Arc<SourceFile>, bytes: usize) -> Self {
+        Self { file, position: 0, buffer: vec![0; bytes], base: 0, filled: 0 }
+    }
+}
+
+impl io::Read for Buffered {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let inside = self.position.checked_sub(self.base).filter(|&at| at < self.filled as u64);
+        let at = match inside {
+            Some(at) => at as usize,
+            None => {
+                self.base = self.position;
+                self.filled = 0;
+                self.filled = read_at(&self.file.file, &mut self.buffer, self.position)?;
+                0
+            }
+        };
+        let len = out.len().min(self.filled - at);
+        out[..len].copy_from_slice(&self.buffer[at..at + len]);
+        self.position += len as u64;
+        Ok(len)
+    }
+}
+
+impl io::Seek for Buffered {
+    fn seek(&mut self, to: io::SeekFrom) -> io::Result<u64> {
+        let place = match to {
+            io::SeekFrom::Start(place) => Some(place),
+            io::SeekFrom::End(by) => self.file.bytes.checked_add_signed(by),
+            io::SeekFrom::Current(by) => self.position.checked_add_signed(by),
+        };
+        self.position = place.ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.position)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::Read;
+    use std::io::{Read, Seek};
 
     #[test]
     fn reads_stop_at_the_end_of_the_file() {
@@ -118,5 +168,23 @@ mod tests {
         let mut text = String::new();
         file.reader(2, 5).read_to_string(&mut text).unwrap();
         assert_eq!(text, "234");
+    }
+
+    #[test]
+    fn a_buffered_file_reads_where_it_was_sent() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("f");
+        std::fs::write(&path, b"0123456789").unwrap();
+        let mut file = Buffered::new(Arc::new(SourceFile::open(&path).unwrap()), 4);
+        let mut three = [0; 3];
+        for (to, expected) in
+            [(io::SeekFrom::Start(5), b"567"), (io::SeekFrom::Current(-6), b"234"), (io::SeekFrom::End(-3), b"789")]
+        {
+            file.seek(to).unwrap();
+            file.read_exact(&mut three).unwrap();
+            assert_eq!(&three, expected);
+        }
+        assert!(file.read_exact(&mut three).is_err());
+        assert!(file.seek(io::SeekFrom::Current(-11)).is_err());
     }
 }

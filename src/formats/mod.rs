@@ -5,16 +5,23 @@ mod damage_tests;
 #[cfg(test)]
 mod data_tests;
 mod detect;
+mod e57;
 mod error;
 mod file;
 mod guard;
 pub mod las;
+mod names;
+mod pcd;
 mod ply;
+mod pose_file;
+mod posed;
 mod read;
+mod text;
 mod write;
 
-pub use detect::{InputFormat, Inputs, ReadOptions, list_inputs, open};
+pub use detect::{InputFormat, Inputs, ReadOptions, list_inputs, open, open_all, parse_columns};
 pub use error::FormatError;
+pub use pose_file::read_poses;
 pub use read::{Piece, PointSource, SourceInfo, Tally};
 pub use write::{
     CreateOptions, CreationDate, LasTarget, OutputFormat, OutputPlan, PointWriter, create, create_standard_output,

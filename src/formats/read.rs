@@ -1,9 +1,10 @@
 //! What every reader of point files gives: facts first, then pieces that decode independently.
 
 use super::FormatError;
+use crate::geometry::Pose;
 use crate::lattice::SourceGrid;
 use crate::points::{Crs, LasFacts, RecordLayout};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What is known of a source before its points are read.
 #[derive(Clone, Debug)]
@@ -12,7 +13,13 @@ pub struct SourceInfo {
     pub path: PathBuf,
     /// Which cloud of the file, 0 for formats with one.
     pub index: u32,
-    /// `las`, `laz`, `copc`, `ply`.
+    /// What the file calls this cloud, if it has several or names the one.
+    pub scan_name: Option<String>,
+    /// From the scan's own frame to where the records have their positions: the file's own pose, then the one given.
+    pub pose: Pose,
+    /// How the file was read, where that was asked for: part of the scan's identity.
+    pub options: String,
+    /// `las`, `laz`, `copc`, `ply`, `e57`, `ptx`, `pts`, `text`, `pcd`.
     pub format: &'static str,
     /// Records that can be read: from the file's size where the header announces more.
     pub records: u64,
@@ -30,6 +37,28 @@ pub struct SourceInfo {
     pub las: Option<LasFacts>,
     /// What a user should know: truncation, waveform packets or faces not kept, header fields that lie.
     pub warnings: Vec<String>,
+}
+
+impl SourceInfo {
+    /// The only cloud of a file, in the world's frame, without a grid, bounds, a CRS or warnings.
+    pub(super) fn new(path: &Path, format: &'static str, records: u64, missing: u64, layout: RecordLayout) -> Self {
+        Self {
+            path: path.to_owned(),
+            index: 0,
+            scan_name: None,
+            pose: Pose::IDENTITY,
+            options: String::new(),
+            format,
+            records,
+            missing,
+            grid: None,
+            bounds_hint: None,
+            layout,
+            crs: None,
+            las: None,
+            warnings: Vec::new(),
+        }
+    }
 }
 
 /// A run of records that decodes without any other.
@@ -50,10 +79,16 @@ pub struct Tally {
     pub truncated: u64,
 }
 
-/// A point file that has been opened and understood.
+/// A point file that has been opened and understood, or one cloud of it.
+///
+/// A record of floating-point positions whose coordinates are no measurement (a pulse that did not come back, a point
+/// that the scanner marked as invalid) has NaN for them.
 pub trait PointSource: Send + Sync {
     /// What is known without reading points.
     fn info(&self) -> &SourceInfo;
+
+    /// Adds to what a user should know.
+    fn warn(&mut self, warning: String);
 
     /// Pieces of about `target_records` each, in order, that together are all records. One piece if the format allows
     /// no more.

@@ -1,4 +1,4 @@
-//! Boxes, frusta, cameras, in f64.
+//! Boxes, frusta, cameras, poses, in f64.
 //!
 //! World coordinates may be as large as ECEF or UTM ones, so whatever is compared with a camera is given relative to its
 //! eye: the difference is formed once, where the coordinates are exact, and everything after it is small.
@@ -7,11 +7,13 @@ mod bounds;
 mod camera;
 mod camera_file;
 mod frustum;
+mod pose;
 #[cfg(test)]
 mod tests;
 
 pub use bounds::WorldBox;
 pub use camera::{Camera, CameraError, Projection};
 pub use frustum::{Containment, Frustum};
+pub use pose::{Pose, PoseError};
 
 pub use glam::{DMat4, DVec3, DVec4};

@@ -3,35 +3,39 @@
 
 use super::IngestError;
 use super::gather::{ScanColumns, Scratch, gather};
-use super::loaded::{Loaded, Payloads, load};
+use super::loaded::{LoadScratch, Loaded, Payloads, Rows, load};
 use super::partition::Bucket;
 use super::progress::Progress;
 use super::rows::RowKey;
 use super::spill::Spill;
 use crate::lattice::Cube;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
-use crate::octree::{Params, first_win, wins};
-use crate::store::{ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, ScanTable, encode_node};
+use crate::octree::{self, Params, first_win, put_wins};
+use crate::store::{
+    ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, PointColumns, ScanTable, encode_node,
+};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 /// The payloads of `points`, which leave a bucket whose own node samples cells of exponent `cell`: in one block for each
 /// node that will store them, so that none keeps others' memory while it rises.
-fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], payloads: &Payloads) -> Vec<Held> {
-    let group = |i: u32| wins[i as usize].max(cell);
-    let mut rows: BTreeMap<i8, Vec<u32>> = BTreeMap::new();
+fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], rows: &Rows<'_>) -> Vec<Held> {
+    // Wins are at most 48, and no smaller than `cell` here.
+    let group = |i: u32| (wins[i as usize].max(cell) - cell) as u8;
+    let mut grouped: [Vec<u32>; 256] = std::array::from_fn(|_| Vec::new());
     for &i in points {
-        rows.entry(group(i)).or_default().push(order[i as usize]);
+        grouped[usize::from(group(i))].push(order[i as usize]);
     }
-    let mut blocks: BTreeMap<i8, (Arc<Payloads>, u32)> =
-        rows.into_iter().map(|(group, rows)| (group, (Arc::new(payloads.picked(rows.into_iter())), 0))).collect();
-    let mut next = |i: u32| {
-        let (block, row) = blocks.get_mut(&group(i))?;
-        *row += 1;
-        Some((block.clone(), *row - 1))
+    let block = |of_group: Vec<u32>| (!of_group.is_empty()).then(|| Arc::new(rows.picked(of_group.into_iter())));
+    let blocks = grouped.map(block);
+    let mut next = [0_u32; 256];
+    let held = |&i: &u32| {
+        let group = usize::from(group(i));
+        next[group] += 1;
+        blocks[group].as_ref().map(|block| (block.clone(), next[group] - 1))
     };
-    points.iter().filter_map(|&i| next(i)).collect()
+    points.iter().filter_map(held).collect()
 }
 
 /// What does not change during a build.
@@ -96,6 +100,7 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
     let first_error = Mutex::new(None);
     let work = || {
         let mut worker = Worker::new(plan);
+        let mut scratch = JobScratch::<K>::default();
         loop {
             let number = next_job.fetch_add(1, Ordering::Relaxed);
             let Some(job) = jobs.get(number) else { return Ok(()) };
@@ -112,7 +117,8 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
             };
             let bucket = bucket.ok_or_else(|| IngestError::Internal("a bucket was taken twice".into()))?;
             let previous = number.checked_sub(1).map(|i| jobs[i].cube);
-            let left = worker.run::<K>(job, previous, bucket)?;
+            let left = worker.run(job, previous, &bucket, &mut scratch)?;
+            drop(bucket);
             plan.progress.advance(job.rows);
             if let Some(subtree) = left {
                 let ready = advance(&joiner, number, subtree);
@@ -186,9 +192,9 @@ fn split<K: RowKey>(
     }
     let mut counts = [0_u64; 8];
     let digit = cube.k() - 1;
-    let (first, last) = (cube.first_key(), cube.last_key());
-    super::loaded::for_each_row::<K>(bucket, plan.scans, plan.spill, |key, _| {
-        if (first..=last).contains(&key.full(bucket.cube)) {
+    let (first, last, of_bucket) = (cube.first_key(), cube.last_key(), bucket.cube.first_key());
+    super::loaded::for_each_key::<K>(bucket, plan.scans, plan.spill, |key| {
+        if (first..=last).contains(&key.full(of_bucket)) {
             counts[usize::from(key.digit(digit))] += 1;
         }
     })?;
@@ -200,16 +206,47 @@ fn split<K: RowKey>(
     Ok(())
 }
 
+/// What a thread keeps from job to job: fresh memory is dear.
+#[derive(Debug, Default)]
+struct JobScratch<K> {
+    load: LoadScratch<K>,
+    wins: Vec<i8>,
+    node: NodeScratch<K>,
+}
+
+/// A node's own points.
+#[derive(Debug, Default)]
+struct NodeScratch<K> {
+    keys: Vec<K>,
+    wins: Vec<i8>,
+    rows: Vec<u32>,
+}
+
+/// A node without its points.
+struct NodeFrame {
+    cube: Cube,
+    leaf: bool,
+    children: u8,
+}
+
 /// One thread's buffers.
 struct Worker<'a> {
     plan: &'a Plan<'a>,
     encode: EncodeScratch,
     gather: Scratch,
+    part_rows: Vec<u32>,
+    columns: Vec<PointColumns>,
 }
 
 impl<'a> Worker<'a> {
     fn new(plan: &'a Plan<'a>) -> Self {
-        Self { plan, encode: EncodeScratch::default(), gather: Scratch::default() }
+        Self {
+            plan,
+            encode: EncodeScratch::default(),
+            gather: Scratch::default(),
+            part_rows: Vec::new(),
+            columns: Vec::new(),
+        }
     }
 
     /// Builds the nodes of a job; returns what it leaves, or nothing if the job was the whole tree.
@@ -217,80 +254,100 @@ impl<'a> Worker<'a> {
         &mut self,
         job: &Job,
         previous: Option<Cube>,
-        bucket: Arc<Bucket>,
+        bucket: &Bucket,
+        scratch: &mut JobScratch<K>,
     ) -> Result<Option<Subtree<Held>>, IngestError> {
         let plan = self.plan;
-        let bucket_cube = bucket.cube;
-        let Loaded { keys, order, payloads } = load::<K>(bucket, job.cube, job.rows, plan.scans, plan.spill)?;
-        let wins = wins(&keys, first_win(previous, job.cube, plan.root));
+        let JobScratch { load: load_scratch, wins, node: own } = scratch;
+        let Loaded { keys, order, rows } = load::<K>(bucket, job.cube, job.rows, plan.scans, plan.spill, load_scratch)?;
+        put_wins(keys, first_win(previous, job.cube, plan.root), wins);
         let place = if job.cube == plan.root { Place::Root } else { Place::Below };
         let mut result = Ok(());
-        let rest = build_bucket(job.cube, &keys, &wins, place, plan.params, |node| {
-            if result.is_ok() {
-                result = self.emit(&node, &keys, &wins, &order, &payloads);
-            }
-        });
+        let rest = build_bucket(
+            job.cube,
+            keys,
+            wins,
+            place,
+            plan.params,
+            |EmittedNode { cube, leaf, children, points, .. }| {
+                if result.is_ok() {
+                    own.fill(points, keys, wins, order);
+                    result = self.encode(NodeFrame { cube, leaf, children }, own, |i| rows.row(i));
+                }
+            },
+        );
         result?;
         if place == Place::Root {
             return Ok(None);
         }
-        let held = held(&rest.points, &wins, plan.params.cell(job.cube.k()), &order, &payloads);
+        let held = held(&rest.points, wins, plan.params.cell(job.cube.k()), order, &rows);
         let mut item = held.into_iter();
+        let of_bucket = bucket.cube.first_key();
         let subtree = Subtree::from_bucket(job.cube, &rest, |i| {
             let i = i as usize;
             let item = item.next().unwrap_or_default();
-            Entry { key: keys[i].full(bucket_cube), win: wins[i], item }
+            Entry { key: keys[i].full(of_bucket), win: wins[i], item }
         });
         Ok(Some(subtree))
     }
 
-    fn emit<K: RowKey>(
-        &mut self,
-        node: &EmittedNode<'_>,
-        keys: &[K],
-        wins: &[i8],
-        order: &[u32],
-        payloads: &Payloads,
-    ) -> Result<(), IngestError> {
-        let own_keys: Vec<_> = node.points.iter().map(|&i| keys[i as usize]).collect();
-        let own_wins: Vec<_> = node.points.iter().map(|&i| wins[i as usize]).collect();
-        let rows = node.points.iter().map(|&i| payloads.row(order[i as usize]));
-        self.encode(node.cube, node.leaf, node.children, &own_keys, &own_wins, rows)
-    }
-
     fn emit_owned(&mut self, nodes: Vec<OwnedNode<Held>>) -> Result<(), IngestError> {
-        for node in nodes {
-            let keys: Vec<_> = node.entries.iter().map(|e| e.key).collect();
-            let wins: Vec<_> = node.entries.iter().map(|e| e.win).collect();
-            let rows = node.entries.iter().map(|e| e.item.0.row(e.item.1));
-            self.encode(node.cube, node.leaf, node.children, &keys, &wins, rows)?;
+        for OwnedNode { cube, leaf, children, entries, .. } in nodes {
+            let own = NodeScratch {
+                keys: entries.iter().map(|e| e.key).collect(),
+                wins: entries.iter().map(|e| e.win).collect(),
+                rows: (0..).take(entries.len()).collect(),
+            };
+            let row = |i: u32| {
+                let (payloads, row) = &entries[i as usize].item;
+                payloads.row(*row)
+            };
+            self.encode(NodeFrame { cube, leaf, children }, &own, row)?;
         }
         Ok(())
     }
 
+    /// Gives a node to the sink, in the form that it wants; `row` gives the scan slot and the payload of a row.
     fn encode<'r, K: RowKey>(
         &mut self,
-        cube: Cube,
-        leaf: bool,
-        children: u8,
-        keys: &[K],
-        wins: &[i8],
-        rows: impl ExactSizeIterator<Item = (u32, &'r [u8])>,
+        NodeFrame { cube, leaf, children }: NodeFrame,
+        own: &NodeScratch<K>,
+        row: impl Fn(u32) -> (u32, &'r [u8]),
     ) -> Result<(), IngestError> {
-        let columns = gather(self.plan.scans, rows, &mut self.gather);
+        let NodeScratch { keys, wins, rows } = own;
         let sink = match self.plan.sink {
             Sink::Encoded(sink) => sink,
             Sink::Content(sink) => {
-                let keys = keys.iter().map(|key| key.full(cube)).collect();
-                let (scans, columns) = (columns.scans, columns.columns);
+                let mut columns = PointColumns::default();
+                gather(self.plan.scans, rows, &row, &mut self.gather, &mut columns);
+                let keys = keys.iter().map(|key| key.full(cube.first_key())).collect();
+                let PointColumns { scans, columns } = columns;
                 return sink(cube, leaf, DecodedPart { keys, blocks: Vec::new(), scans, columns });
             }
         };
-        let layer = self.plan.layer;
-        let input =
-            NodeInput { layer, cube, leaf, children, keys, wins, scans: &columns.scans, columns: &columns.columns };
+        let cut = octree::split(wins, &octree::steps(keys, wins));
+        self.columns.resize_with(cut.len().max(self.columns.len()), PointColumns::default);
+        let parts = &mut self.columns[..cut.len()];
+        for (part, columns) in cut.iter().zip(&mut *parts) {
+            self.part_rows.clear();
+            self.part_rows.extend(part.points.iter().map(|&i| rows[i as usize]));
+            gather(self.plan.scans, &self.part_rows, &row, &mut self.gather, columns);
+        }
+        let input = NodeInput { layer: self.plan.layer, cube, leaf, children, keys, plan: &cut, parts };
         let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
             .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
         sink(encoded)
+    }
+}
+
+impl<K: RowKey> NodeScratch<K> {
+    /// Takes the bucket's points with these indices.
+    fn fill(&mut self, points: &[u32], keys: &[K], wins: &[i8], order: &[u32]) {
+        self.keys.clear();
+        self.keys.extend(points.iter().map(|&i| keys[i as usize]));
+        self.wins.clear();
+        self.wins.extend(points.iter().map(|&i| wins[i as usize]));
+        self.rows.clear();
+        self.rows.extend(points.iter().map(|&i| order[i as usize]));
     }
 }

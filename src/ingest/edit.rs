@@ -86,7 +86,7 @@ pub fn remove(
         }
         context.go_on()?;
         removed.chunks_written = edits.iter().map(|e| e.chunks).sum();
-        let flip = Flip { scans_removed: doomed, ..joined(&snapshot, edits) };
+        let flip = Flip { scans_removed: doomed, ..joined(snapshot.site(), edits) };
         drop(snapshot);
         progress.stage(Stage::Commit, removed.points);
         writer.commit(flip)?;
@@ -120,12 +120,14 @@ pub fn replace(
             snapshot.scans().iter().cloned().partition(|s| replaced.contains(&s.id));
         let site_crs = snapshot.site().crs.clone();
         drop(snapshot);
-        let input = match (input, old.first()) {
-            (Some(input), _) => input.to_owned(),
-            (None, Some(old)) => PathBuf::from(&old.source),
+        let opened = match (input, old.first()) {
+            (Some(input), _) => sources::open(&[input.to_owned()], options, &others, progress)?,
+            (None, Some(old)) => {
+                let again = sources::open_again(old, options, progress)?;
+                sources::Sources { sources: vec![again], skipped: Vec::new() }
+            }
             (None, None) => return Err(IngestError::Internal("a scan without a row".into())),
         };
-        let opened = sources::open(&[input], options, &others, progress)?;
         let mut sources = opened.sources;
         if let ([source], Some(old), None) = (&mut sources[..], old.first(), &options.name) {
             source.name = old.name.clone();

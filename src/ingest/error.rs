@@ -23,11 +23,37 @@ pub enum IngestError {
     #[error("no point file among the inputs{0}")]
     NoInput(String),
     /// One name for several scans.
-    #[error("--name names one scan; give one input with it")]
+    #[error("--name names one scan; give one input of one scan with it")]
     NameOfMany,
     /// A scan of this name is there.
     #[error("the store has a scan named '{0}' from another source; give another --name")]
     NameTaken(String),
+    /// Not one pose per file.
+    #[error("{poses} poses are given for {files} files; give one for each file, in their order")]
+    Poses {
+        /// How many were given.
+        poses: usize,
+        /// How many there are to place.
+        files: usize,
+    },
+    /// A source that is to be read again is another file now.
+    #[error("{path}: it has changed, and which of its scans is '{name}' can't be told; name the new file")]
+    Changed {
+        /// The source.
+        path: PathBuf,
+        /// The scan.
+        name: String,
+    },
+    /// The source is there, elsewhere.
+    #[error(
+        "{scan}: the store has it as '{name}' with another pose or other options; `esker replace` puts it in its place"
+    )]
+    OtherPose {
+        /// The file, and which of its scans.
+        scan: String,
+        /// The stored scan.
+        name: String,
+    },
     /// There is no such scan.
     #[error("the store has no scan '{wanted}'{nearest}; `esker scans` lists them")]
     NoScan {

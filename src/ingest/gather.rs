@@ -1,8 +1,12 @@
-//! From rows to the columns of one node.
+//! From rows to the columns of a node's parts.
 
 use super::partition::RowPlan;
-use crate::points::Column;
+use crate::points::{Column, RecordLayout};
+use crate::store::PointColumns;
 use crate::store::model::{ScanId, Slot};
+
+/// Rows that are looked at together: few enough that their payloads stay in the fastest cache, column after column.
+const BLOCK: usize = 256;
 
 /// What is known of a scan while its rows become columns.
 #[derive(Debug)]
@@ -32,78 +36,206 @@ impl<'a> ScanColumns<'a> {
     }
 }
 
-/// The attribute columns of a node's points and the scan of each.
-#[derive(Debug, Default)]
-pub(super) struct NodeColumns {
-    pub scans: Vec<ScanId>,
-    pub columns: Vec<(Slot, Column)>,
-}
-
 /// Buffers that live from node to node.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    by_slot: Vec<ScanRows>,
-}
-
-/// The rows of one scan in a node.
-#[derive(Debug, Default)]
-struct ScanRows {
-    /// Their places in the node.
-    indices: Vec<u32>,
+    /// Payloads of one scan's rows in a block, one after the other.
     payloads: Vec<u8>,
+    /// The bits in which they differ.
+    varying: Vec<u8>,
+    /// Where in a block the rows of a scan are.
+    places: Vec<u32>,
 }
 
-/// Gathers the columns of the rows given as `(scan slot, payload)`, in their order. Columns of attributes that a point's
-/// scan lacks hold zero there.
+/// Gathers the columns of `rows`, which `row` gives as `(scan slot, payload)`, in their order. Columns of attributes that
+/// a point's scan lacks hold zero there. What `into` held before is replaced; its memory is used again.
 pub(super) fn gather<'r>(
     scans: &[ScanColumns<'_>],
-    rows: impl ExactSizeIterator<Item = (u32, &'r [u8])>,
+    rows: &[u32],
+    row: impl Fn(u32) -> (u32, &'r [u8]),
     scratch: &mut Scratch,
-) -> NodeColumns {
-    let n = rows.len();
-    scratch.by_slot.resize_with(scans.len(), ScanRows::default);
-    for of_scan in &mut scratch.by_slot {
-        of_scan.indices.clear();
-        of_scan.payloads.clear();
-    }
-    let mut result = NodeColumns { scans: Vec::with_capacity(n), columns: Vec::new() };
-    for (i, (slot, payload)) in (0_u32..).zip(rows) {
-        let of_scan = &mut scratch.by_slot[slot as usize];
-        of_scan.indices.push(i);
-        of_scan.payloads.extend_from_slice(payload);
-        result.scans.push(scans[slot as usize].id);
-    }
-    for (scan, ScanRows { indices, payloads }) in scans.iter().zip(&scratch.by_slot) {
-        if indices.is_empty() || scan.slots.is_empty() {
-            continue;
-        }
-        let layout = &scan.plan.layout;
-        for (field, (&column_slot, attribute)) in scan.slots.iter().zip(layout.attributes.iter()).enumerate() {
-            let mut values = Column::with_capacity(attribute.ty, indices.len());
-            layout.extract(field, payloads.chunks_exact(layout.payload), &mut values);
-            if indices.len() == n {
-                result.columns.push((column_slot, values));
-                continue;
-            }
-            let place = result.columns.iter().position(|(s, _)| *s == column_slot).unwrap_or_else(|| {
-                result.columns.push((column_slot, Column::zeros(attribute.ty, n)));
-                result.columns.len() - 1
-            });
-            scatter(&mut result.columns[place].1, &values, indices);
+    into: &mut PointColumns,
+) {
+    into.scans.clear();
+    into.columns.iter_mut().for_each(|(_, column)| column.clear());
+    for block in rows.chunks(BLOCK) {
+        let slot = |i: &u32| row(*i).0;
+        let first = slot(&block[0]);
+        if scans.len() == 1 || block.iter().all(|i| slot(i) == first) {
+            gather_one_scan(&scans[first as usize], block, |i| row(i).1, scratch, into);
+        } else {
+            gather_mixed(scans, block, &row, scratch, into);
         }
     }
-    result.columns.sort_by_key(|(slot, _)| *slot);
-    result
+    let n = into.scans.len();
+    // A column that nothing was put into is of attributes that no scan here has.
+    into.columns.retain(|(_, column)| !column.is_empty());
+    into.columns.iter_mut().for_each(|(_, column)| column.resize(n));
+    into.columns.sort_by_key(|(slot, _)| *slot);
 }
 
-/// `to[indices[i]] = from[i]`. The types are equal, since a slot has one type.
-fn scatter(to: &mut Column, from: &Column, indices: &[u32]) {
+/// Appends rows that are all of one scan.
+fn gather_one_scan<'r>(
+    scan: &ScanColumns<'_>,
+    rows: &[u32],
+    payload: impl Fn(u32) -> &'r [u8],
+    scratch: &mut Scratch,
+    into: &mut PointColumns,
+) {
+    let start = into.scans.len();
+    into.scans.resize(start + rows.len(), scan.id);
+    let layout = &scan.plan.layout;
+    if scan.slots.is_empty() {
+        return;
+    }
+    let Scratch { payloads, varying, .. } = scratch;
+    // Rows lie about in memory. Touched first, many of them are fetched at once.
+    std::hint::black_box(rows.iter().fold(0, |sum, &row| sum ^ payload(row).first().unwrap_or(&0)));
+    let bytes = rows.len() * layout.payload;
+    if payloads.len() < bytes {
+        payloads.resize(bytes, 0);
+    }
+    copy_payloads(layout.payload, rows, payload, &mut payloads[..bytes], varying);
+    let payloads = payloads[..bytes].chunks_exact(layout.payload);
+    for field in 0..scan.slots.len() {
+        let column = column_of(into, scan, field, start);
+        if layout.varies(field, varying) {
+            layout.extract(field, payloads.clone(), column);
+        } else {
+            layout.extract(field, payloads.clone().take(1), column);
+            column.repeat_last(rows.len() - 1);
+        }
+    }
+}
+
+/// Appends rows of several scans.
+fn gather_mixed<'r>(
+    scans: &[ScanColumns<'_>],
+    rows: &[u32],
+    row: &impl Fn(u32) -> (u32, &'r [u8]),
+    scratch: &mut Scratch,
+    into: &mut PointColumns,
+) {
+    let start = into.scans.len();
+    into.scans.extend(rows.iter().map(|&i| scans[row(i).0 as usize].id));
+    let mut slots: Vec<u32> = rows.iter().map(|&i| row(i).0).collect();
+    slots.sort_unstable();
+    slots.dedup();
+    for slot in slots {
+        let scan = &scans[slot as usize];
+        let Scratch { payloads, places, .. } = &mut *scratch;
+        places.clear();
+        payloads.clear();
+        for (place, &i) in (0_u32..).zip(rows) {
+            let (of, payload) = row(i);
+            if of == slot {
+                places.push(place);
+                payloads.extend_from_slice(payload);
+            }
+        }
+        let RecordLayout { payload, attributes, .. } = &scan.plan.layout;
+        for field in 0..scan.slots.len() {
+            let mut values = Column::with_capacity(attributes[field].ty, places.len());
+            scan.plan.layout.extract(field, payloads.chunks_exact(*payload), &mut values);
+            let column = column_of(into, scan, field, start);
+            column.resize(start + rows.len());
+            scatter(column, start, &values, places);
+        }
+    }
+}
+
+/// The column of an attribute, at least `len` long: zeros stand where rows before these had no such attribute.
+fn column_of<'c>(into: &'c mut PointColumns, scan: &ScanColumns<'_>, field: usize, len: usize) -> &'c mut Column {
+    let slot = scan.slots[field];
+    let columns = &mut into.columns;
+    // Of a store with one kind of scan, attributes and columns are the same in number and order.
+    let guess = columns.get(field).is_some_and(|(s, _)| *s == slot).then_some(field);
+    let place = guess.or_else(|| columns.iter().position(|(s, _)| *s == slot)).unwrap_or_else(|| {
+        columns.push((slot, Column::with_capacity(scan.plan.layout.attributes[field].ty, len + BLOCK)));
+        columns.len() - 1
+    });
+    let column = &mut columns[place].1;
+    if column.len() < len {
+        column.resize(len);
+    }
+    column
+}
+
+/// Puts the payloads of `rows`, `bytes` each, one after the other into `to`, which has their size, and into `varying` the bits in which they
+/// are not as the first.
+fn copy_payloads<'r>(
+    bytes: usize,
+    rows: &[u32],
+    payload: impl Fn(u32) -> &'r [u8],
+    to: &mut [u8],
+    varying: &mut Vec<u8>,
+) {
+    // Words of 8 bytes, of which the last two may overlap, and as many of them as the compiler knows: a call to copy so
+    // few bytes takes longer than the copy.
+    match bytes.div_ceil(8) {
+        _ if bytes < 8 => copy_bytes(rows, payload, to, varying),
+        1 => copy_words::<1>(bytes, rows, payload, to, varying),
+        2 => copy_words::<2>(bytes, rows, payload, to, varying),
+        3 => copy_words::<3>(bytes, rows, payload, to, varying),
+        4 => copy_words::<4>(bytes, rows, payload, to, varying),
+        5 => copy_words::<5>(bytes, rows, payload, to, varying),
+        6 => copy_words::<6>(bytes, rows, payload, to, varying),
+        7 => copy_words::<7>(bytes, rows, payload, to, varying),
+        8 => copy_words::<8>(bytes, rows, payload, to, varying),
+        _ => copy_bytes(rows, payload, to, varying),
+    }
+}
+
+fn copy_bytes<'r>(rows: &[u32], payload: impl Fn(u32) -> &'r [u8], to: &mut [u8], varying: &mut Vec<u8>) {
+    let first = payload(rows[0]);
+    varying.clear();
+    varying.resize(first.len(), 0);
+    for (to, &row) in to.chunks_exact_mut(first.len()).zip(rows) {
+        let from = payload(row);
+        to.copy_from_slice(from);
+        varying.iter_mut().zip(from).zip(first).for_each(|((v, a), b)| *v |= a ^ b);
+    }
+}
+
+fn copy_words<'r, const WORDS: usize>(
+    bytes: usize,
+    rows: &[u32],
+    payload: impl Fn(u32) -> &'r [u8],
+    to: &mut [u8],
+    varying: &mut Vec<u8>,
+) {
+    let start = |word: usize| if word + 1 == WORDS { bytes - 8 } else { 8 * word };
+    let words = |from: &[u8]| -> [u64; WORDS] {
+        std::array::from_fn(|w| {
+            let mut word = [0; 8];
+            word.copy_from_slice(&from[start(w)..start(w) + 8]);
+            u64::from_le_bytes(word)
+        })
+    };
+    let first = words(payload(rows[0]));
+    let mut differing = [0; WORDS];
+    for (to, &row) in to.chunks_exact_mut(bytes).zip(rows) {
+        let from = words(&payload(row)[..bytes]);
+        for w in 0..WORDS {
+            to[start(w)..start(w) + 8].copy_from_slice(&from[w].to_le_bytes());
+            differing[w] |= from[w] ^ first[w];
+        }
+    }
+    varying.clear();
+    varying.resize(bytes, 0);
+    for w in 0..WORDS {
+        varying[start(w)..start(w) + 8].copy_from_slice(&differing[w].to_le_bytes());
+    }
+}
+
+/// `to[start + places[i]] = from[i]`. The types are equal, since a slot has one type.
+fn scatter(to: &mut Column, start: usize, from: &Column, places: &[u32]) {
     macro_rules! scatter {
         ($($variant:ident),*) => {
             match (to, from) {
                 $((Column::$variant(to), Column::$variant(from)) => {
-                    for (&i, &value) in indices.iter().zip(from) {
-                        to[i as usize] = value;
+                    for (&place, &value) in places.iter().zip(from) {
+                        to[start + place as usize] = value;
                     }
                 })*
                 _ => {}
@@ -116,7 +248,8 @@ fn scatter(to: &mut Column, from: &Column, indices: &[u32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::points::{Attribute, PositionKind, RecordLayout, ScalarType};
+    use crate::points::{Attribute, Field, FieldKind, PositionKind, ScalarType};
+    use proptest::prelude::*;
 
     #[test]
     fn mixed_scans_keep_their_values_and_get_zeros_elsewhere() {
@@ -134,11 +267,68 @@ mod tests {
         ];
         let rows: [(u32, &[u8]); 5] = [(0, &[1, 2, 0]), (1, &[3, 1]), (2, &[]), (0, &[4, 5, 0]), (1, &[6, 0])];
         let mut scratch = Scratch::default();
+        let mut got = PointColumns::default();
+        let mut gather = |order: &[u32], got: &mut PointColumns| {
+            gather(&scans, order, |i| rows[i as usize], &mut scratch, got);
+        };
         for _ in 0..2 {
-            let got = gather(&scans, rows.into_iter(), &mut scratch);
+            gather(&[0, 1, 2, 3, 4], &mut got);
             assert_eq!(got.scans, [7, 8, 9, 7, 8]);
             assert_eq!(got.columns[0], (2, Column::U8(vec![1, 0, 0, 4, 0])));
             assert_eq!(got.columns[1], (3, Column::U16(vec![2, 259, 0, 5, 6])));
+            // What no scan has leaves no column, whatever was there before.
+            gather(&[4, 2], &mut got);
+            assert_eq!(got.scans, [8, 9]);
+            assert_eq!(got.columns, [(3, Column::U16(vec![6, 0]))]);
+        }
+        // One scan after the other, each in blocks of its own.
+        let order: Vec<u32> = [2, 0, 1].iter().flat_map(|&i| std::iter::repeat_n(i, BLOCK)).collect();
+        gather(&order, &mut got);
+        let expected =
+            |a: u16, b: u16| -> Vec<u16> { [0, a, b].iter().flat_map(|&v| std::iter::repeat_n(v, BLOCK)).collect() };
+        let first = expected(1, 0).iter().map(|&v| v as u8).collect();
+        assert_eq!(got.columns, [(2, Column::U8(first)), (3, Column::U16(expected(2, 259)))]);
+    }
+
+    proptest! {
+        #[test]
+        fn payloads_of_any_size_become_the_columns_of_their_values(
+            size in 1_usize..80,
+            fields in prop::collection::vec((0_usize..80, 0_u8..8), 1..6),
+            n in 1_u32..600,
+            fixed: u64,
+            seed: u64,
+        ) {
+            let fields: Vec<_> = fields
+                .into_iter()
+                .enumerate()
+                .map(|(i, (offset, shift))| {
+                    let name = format!("a{i}");
+                    let offset = offset % size;
+                    if i % 2 == 0 && offset + 8 <= size {
+                        (Attribute::new(name, ScalarType::U64), Field { offset, kind: FieldKind::Whole })
+                    } else {
+                        let kind = FieldKind::Bits { shift, mask: 0xff >> shift };
+                        (Attribute::new(name, ScalarType::U8), Field { offset, kind })
+                    }
+                })
+                .collect();
+            let layout = RecordLayout::new(PositionKind::Grid, size, fields);
+            // Some bytes are the same in all payloads.
+            let mix = |i: u32, at: usize| if fixed >> (at % 64) & 1 == 1 { 7 } else { (seed.rotate_left(i % 61) >> (at % 50)) as u8 };
+            let payloads: Vec<Vec<u8>> = (0..n).map(|i| (0..size).map(|at| mix(i, at)).collect()).collect();
+            let plan = RowPlan::new(0, layout.clone(), None);
+            let slots: Vec<Slot> = (2..).take(layout.fields.len()).collect();
+            let scans = [ScanColumns::new(1, [0; 32], &plan, slots)];
+            let mut got = PointColumns::default();
+            let order: Vec<u32> = (0..n).rev().collect();
+            gather(&scans, &order, |i| (0, &payloads[i as usize]), &mut Scratch::default(), &mut got);
+            prop_assert_eq!(got.columns.len(), layout.fields.len());
+            for (index, (_, column)) in got.columns.iter().enumerate() {
+                let mut naive = Column::with_capacity(layout.attributes[index].ty, 0);
+                layout.extract(index, payloads.iter().rev().map(Vec::as_slice), &mut naive);
+                prop_assert_eq!(column, &naive);
+            }
         }
     }
 }

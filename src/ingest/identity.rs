@@ -5,10 +5,6 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-/// The pose of a scan whose source has none.
-pub(super) const IDENTITY_POSE: [f64; 16] =
-    [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-
 /// BLAKE3 of a file's bytes. `cancelled` is asked now and then; true gives `None`.
 pub(super) fn content_hash(path: &Path, cancelled: &dyn Fn() -> bool) -> Result<Option<[u8; 32]>, FormatError> {
     let io = |action| move |source| FormatError::Io { path: path.to_owned(), action, source };
@@ -37,4 +33,25 @@ pub(super) fn scan_identity(content: &[u8; 32], index: u32, pose: &[f64; 16], op
     }
     hasher.update(options.as_bytes());
     *hasher.finalize().as_bytes()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose;
+
+    #[test]
+    fn everything_that_changes_a_scan_changes_its_identity() {
+        let pose = Pose::IDENTITY.to_matrix();
+        let moved = Pose::from_quaternion([1e-9, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]).unwrap().to_matrix();
+        let all = [
+            scan_identity(&[0; 32], 0, &pose, ""),
+            scan_identity(&[1; 32], 0, &pose, ""),
+            scan_identity(&[0; 32], 1, &pose, ""),
+            scan_identity(&[0; 32], 0, &moved, ""),
+            scan_identity(&[0; 32], 0, &pose, "columns x,y,z"),
+        ];
+        let different: std::collections::HashSet<_> = all.iter().collect();
+        assert_eq!(different.len(), all.len());
+    }
 }

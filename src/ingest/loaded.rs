@@ -1,24 +1,23 @@
-//! The rows of one bucket in memory, in canonical order; and those that leave it for coarser nodes.
+//! The rows of one bucket in canonical order, where they lie; and those that leave it for coarser nodes.
 
 use super::IngestError;
 use super::gather::ScanColumns;
 use super::partition::{Bucket, Place, Segment};
-use super::rows::{RowKey, sort_pairs};
+use super::rows::{PairSorter, RowKey};
 use super::spill::Spill;
 use crate::lattice::Cube;
 use std::cmp::Ordering;
-use std::sync::Arc;
 
 /// Payloads of rows of several scans, addressed by a number each.
 #[derive(Debug, Default)]
 pub(super) struct Payloads {
     bytes: Vec<u8>,
-    runs: Vec<Run>,
+    runs: Vec<PayloadRun>,
 }
 
-/// Rows of one scan that lie together.
+/// Payloads of one scan that lie together.
 #[derive(Clone, Copy, Debug)]
-struct Run {
+struct PayloadRun {
     slot: u32,
     first: u32,
     start: usize,
@@ -26,13 +25,6 @@ struct Run {
 }
 
 impl Payloads {
-    /// Begins a run of rows of one scan.
-    fn begin(&mut self, slot: u32, first: u32, payload: usize) {
-        if self.runs.last().is_none_or(|r| r.slot != slot) {
-            self.runs.push(Run { slot, first, start: self.bytes.len(), payload });
-        }
-    }
-
     /// The scan and the payload of row `row`.
     #[inline]
     pub fn row(&self, row: u32) -> (u32, &[u8]) {
@@ -44,144 +36,194 @@ impl Payloads {
         (run.slot, &self.bytes[start..start + run.payload])
     }
 
+    fn push(&mut self, row: u32, slot: u32, payload: &[u8]) {
+        if self.runs.last().is_none_or(|r| r.slot != slot) {
+            self.runs.push(PayloadRun { slot, first: row, start: self.bytes.len(), payload: payload.len() });
+        }
+        self.bytes.extend_from_slice(payload);
+    }
+}
+
+/// Rows of several scans where they lie, addressed by a number each.
+#[derive(Debug)]
+pub(super) struct Rows<'a> {
+    runs: Vec<Run<'a>>,
+    /// A row's number is that of its run, shifted by so many bits, and its place in it.
+    shift: u32,
+    key_bytes: usize,
+}
+
+/// Rows of one scan that lie together.
+#[derive(Clone, Copy, Debug)]
+struct Run<'a> {
+    slot: u32,
+    row_bytes: usize,
+    bytes: &'a [u8],
+}
+
+impl<'a> Rows<'a> {
+    /// `None` if there are too many to number.
+    fn new(runs: Vec<Run<'a>>, key_bytes: usize) -> Option<Self> {
+        let most = runs.iter().map(|r| r.bytes.len() / r.row_bytes).max().unwrap_or(0).max(1);
+        let shift = usize::BITS - (most - 1).leading_zeros();
+        let rows = (runs.len() as u64).checked_shl(shift).filter(|_| shift < u32::BITS)?;
+        (rows <= 1 << u32::BITS).then_some(Self { runs, shift, key_bytes })
+    }
+
+    /// The scan and the payload of row `row`.
+    #[inline]
+    pub fn row(&self, row: u32) -> (u32, &'a [u8]) {
+        let run = self.runs[(row >> self.shift) as usize];
+        let start = (row & ((1 << self.shift) - 1)) as usize * run.row_bytes;
+        (run.slot, &run.bytes[start + self.key_bytes..start + run.row_bytes])
+    }
+
     /// The payloads of `rows`, copied, numbered from zero in that order.
-    pub fn picked(&self, rows: impl Iterator<Item = u32>) -> Self {
-        let mut picked = Self::default();
-        for (first, row) in (0_u32..).zip(rows) {
+    pub fn picked(&self, rows: impl Iterator<Item = u32>) -> Payloads {
+        let mut picked = Payloads::default();
+        for (number, row) in (0..).zip(rows) {
             let (slot, payload) = self.row(row);
-            picked.begin(slot, first, payload.len());
-            picked.bytes.extend_from_slice(payload);
+            picked.push(number, slot, payload);
         }
         picked
     }
 }
 
-/// A bucket, sorted.
-#[derive(Debug)]
-pub(super) struct Loaded<K> {
-    pub keys: Vec<K>,
-    /// The number of each point's payload.
-    pub order: Vec<u32>,
-    pub payloads: Payloads,
+/// Buffers that live from bucket to bucket.
+#[derive(Debug, Default)]
+pub(super) struct LoadScratch<K> {
+    /// Spilled rows that were read back.
+    spilled: Vec<u8>,
+    segment: Vec<u8>,
+    pairs: Vec<(K, u32)>,
+    sorter: PairSorter<K>,
+    keys: Vec<K>,
+    order: Vec<u32>,
 }
 
-/// Calls `each` with the key and the payload of every row of `bucket`, segment by segment.
-pub(super) fn for_each_row<K: RowKey>(
+/// A bucket, sorted.
+#[derive(Debug)]
+pub(super) struct Loaded<'a, K> {
+    pub keys: &'a [K],
+    /// The number of each point's row.
+    pub order: &'a [u32],
+    pub rows: Rows<'a>,
+}
+
+/// Calls `each` with the key of every row of `bucket`, segment by segment.
+pub(super) fn for_each_key<K: RowKey>(
     bucket: &Bucket,
     scans: &[ScanColumns<'_>],
     spill: Option<&Spill>,
-    mut each: impl FnMut(K, Row<'_>),
+    mut each: impl FnMut(K),
 ) -> Result<(), IngestError> {
     let mut buffer = Vec::new();
     for segment in &bucket.segments {
-        rows_of(segment, scans, spill, &mut buffer, &mut each)?;
+        let bytes = match &segment.place {
+            Place::Memory(bytes) => bytes.as_slice(),
+            Place::Spilled { offset, bytes } => {
+                buffer.clear();
+                read_back(spill, *offset, *bytes, &mut buffer)?;
+                &buffer
+            }
+        };
+        bytes.chunks_exact(row_bytes::<K>(segment, scans)).for_each(|row| each(K::read(row)));
     }
     Ok(())
 }
 
-/// One row without its key.
-pub(super) struct Row<'a> {
-    slot: u32,
-    payload: &'a [u8],
+fn row_bytes<K: RowKey>(segment: &Segment, scans: &[ScanColumns<'_>]) -> usize {
+    K::BYTES + scans[segment.slot as usize].plan.layout.payload
 }
 
-fn rows_of<K: RowKey>(
-    segment: &Segment,
-    scans: &[ScanColumns<'_>],
-    spill: Option<&Spill>,
-    buffer: &mut Vec<u8>,
-    each: &mut impl FnMut(K, Row<'_>),
-) -> Result<(), IngestError> {
-    let bytes = match &segment.place {
-        Place::Memory(bytes) => bytes.as_slice(),
-        Place::Spilled { offset, bytes } => {
-            let spill = spill.ok_or_else(|| IngestError::Internal("a spilled segment without a spill".into()))?;
-            buffer.resize(*bytes, 0);
-            spill.read(buffer, *offset)?;
-            buffer.as_slice()
-        }
-    };
-    let payload = scans[segment.slot as usize].plan.layout.payload;
-    for row in bytes.chunks_exact(K::BYTES + payload) {
-        each(K::read(row), Row { slot: segment.slot, payload: &row[K::BYTES..] });
-    }
-    Ok(())
+/// Appends a spilled segment's bytes to `to`.
+fn read_back(spill: Option<&Spill>, offset: u64, bytes: usize, to: &mut Vec<u8>) -> Result<(), IngestError> {
+    let spill = spill.ok_or_else(|| IngestError::Internal("a spilled segment without a spill".into()))?;
+    let start = to.len();
+    to.resize(start + bytes, 0);
+    spill.read(&mut to[start..], offset)
 }
 
-/// Reads the `rows` rows of `bucket` that lie in `cube` and sorts them by (key, record bytes, attributes, scan
-/// identity). A bucket that nobody else needs gives its memory back segment by segment.
-pub(super) fn load<K: RowKey>(
-    bucket: Arc<Bucket>,
+/// Finds the `rows` rows of `bucket` that lie in `cube` and sorts them by (key, record bytes, attributes, scan identity).
+/// Rows that are in memory stay where they are.
+pub(super) fn load<'a, K: RowKey>(
+    bucket: &'a Bucket,
     cube: Cube,
     rows: u64,
     scans: &[ScanColumns<'_>],
     spill: Option<&Spill>,
-) -> Result<Loaded<K>, IngestError> {
-    let whole = rows == bucket.rows;
-    let capacity = u32::try_from(rows)
-        .map_err(|_| IngestError::Internal(format!("{rows} points on one place do not fit one bucket")))?;
-    let mut pairs: Vec<(K, u32)> = Vec::with_capacity(capacity as usize);
-    let mut payloads = Payloads::default();
-    let bucket_cube = bucket.cube;
+    scratch: &'a mut LoadScratch<K>,
+) -> Result<Loaded<'a, K>, IngestError> {
+    let LoadScratch { spilled, segment: buffer, pairs, sorter, keys, order } = scratch;
+    let all = rows == bucket.rows;
     let (first, last) = (cube.first_key(), cube.last_key());
-    let mut take = |key: K, row: Row<'_>| {
-        if whole || (first..=last).contains(&key.full(bucket_cube)) {
-            let number = pairs.len() as u32;
-            if number == 0 {
-                payloads.bytes.reserve_exact(capacity as usize * row.payload.len());
-            }
-            payloads.begin(row.slot, number, row.payload.len());
-            payloads.bytes.extend_from_slice(row.payload);
-            pairs.push((key, number));
+    let of_bucket = bucket.cube.first_key();
+    let inside = |key: K| all || (first..=last).contains(&key.full(of_bucket));
+    // What is read back may be cut to the cube at once; it is addressed when it no longer moves.
+    spilled.clear();
+    let mut read = Vec::new();
+    for segment in &bucket.segments {
+        let Place::Spilled { offset, bytes } = segment.place else { continue };
+        let (row_bytes, start) = (row_bytes::<K>(segment, scans), spilled.len());
+        if all {
+            read_back(spill, offset, bytes, spilled)?;
+        } else {
+            buffer.clear();
+            read_back(spill, offset, bytes, buffer)?;
+            let rows = buffer.chunks_exact(row_bytes).filter(|row| inside(K::read(row)));
+            rows.for_each(|row| spilled.extend_from_slice(row));
         }
-    };
-    let mut buffer = Vec::new();
-    match Arc::try_unwrap(bucket) {
-        Ok(owned) => {
-            for segment in owned.segments {
-                rows_of(&segment, scans, spill, &mut buffer, &mut take)?;
-            }
-        }
-        Err(shared) => {
-            for segment in &shared.segments {
-                rows_of(segment, scans, spill, &mut buffer, &mut take)?;
-            }
+        read.push((segment.slot, row_bytes, start..spilled.len()));
+    }
+    let spilled: &[u8] = spilled;
+    let in_memory = bucket.segments.iter().filter_map(|segment| match &segment.place {
+        Place::Memory(bytes) => Some(Run { slot: segment.slot, row_bytes: row_bytes::<K>(segment, scans), bytes }),
+        Place::Spilled { .. } => None,
+    });
+    let read = read.into_iter().map(|(slot, row_bytes, range)| Run { slot, row_bytes, bytes: &spilled[range] });
+    let rows = Rows::new(in_memory.chain(read).collect(), K::BYTES)
+        .ok_or_else(|| IngestError::Internal(format!("{rows} points on one place do not fit one bucket")))?;
+    pairs.clear();
+    for (number, run) in rows.runs.iter().enumerate() {
+        // Checked by `Rows::new`.
+        let number = (number << rows.shift) as u32;
+        let keyed = (number..).zip(run.bytes.chunks_exact(run.row_bytes)).map(|(i, row)| (K::read(row), i));
+        if all {
+            pairs.extend(keyed);
+        } else {
+            pairs.extend(keyed.filter(|(key, _)| inside(*key)));
         }
     }
-    let pairs = in_canonical_order(sort_pairs(pairs, cube.k()), &payloads, scans);
-    let (keys, order) = pairs.into_iter().unzip();
-    Ok(Loaded { keys, order, payloads })
+    sorter.sort(pairs, cube.k());
+    settle_ties(pairs, &rows, scans);
+    keys.clear();
+    keys.extend(pairs.iter().map(|p| p.0));
+    order.clear();
+    order.extend(pairs.iter().map(|p| p.1));
+    Ok(Loaded { keys, order, rows })
 }
 
 /// Settles runs of equal keys by record bytes, then attributes, then scan identity. Beyond that records are
 /// interchangeable.
-fn in_canonical_order<K: RowKey>(
-    mut pairs: Vec<(K, u32)>,
-    payloads: &Payloads,
-    scans: &[ScanColumns<'_>],
-) -> Vec<(K, u32)> {
-    let mut start = 0;
-    while start < pairs.len() {
-        let key = pairs[start].0;
-        let end = start + pairs[start..].iter().take_while(|p| p.0 == key).count();
-        if end - start > 1 {
-            let mut tied: Vec<_> = pairs[start..end]
-                .iter()
-                .map(|&(_, row)| {
-                    let mut bytes = Vec::new();
-                    let (slot, payload) = payloads.row(row);
-                    scans[slot as usize].plan.layout.canonical_bytes(payload, &mut bytes);
-                    (bytes, slot, row)
-                })
-                .collect();
-            tied.sort_by(|a, b| tie(a, b, scans));
-            for (pair, (_, _, row)) in pairs[start..end].iter_mut().zip(tied) {
-                pair.1 = row;
-            }
+fn settle_ties<K: RowKey>(pairs: &mut [(K, u32)], rows: &Rows<'_>, scans: &[ScanColumns<'_>]) {
+    for run in pairs.chunk_by_mut(|a, b| a.0 == b.0) {
+        if run.len() < 2 {
+            continue;
         }
-        start = end;
+        let mut tied: Vec<_> = run
+            .iter()
+            .map(|&(_, row)| {
+                let mut bytes = Vec::new();
+                let (slot, payload) = rows.row(row);
+                scans[slot as usize].plan.layout.canonical_bytes(payload, &mut bytes);
+                (bytes, slot, row)
+            })
+            .collect();
+        tied.sort_by(|a, b| tie(a, b, scans));
+        for (pair, (_, _, row)) in run.iter_mut().zip(tied) {
+            pair.1 = row;
+        }
     }
-    pairs
 }
 
 fn tie(a: &(Vec<u8>, u32, u32), b: &(Vec<u8>, u32, u32), scans: &[ScanColumns<'_>]) -> Ordering {

@@ -52,14 +52,15 @@ pub fn merge(
 ) -> Result<Merged, IngestError> {
     Context::run(out, resources, progress, |context| {
         let begun = Instant::now();
-        if out.exists() {
-            return Err(IngestError::OutputThere(out.to_owned()));
-        }
+        let left = left_by_a_crash(out)?;
         let shards = stores
             .iter()
             .map(|path| Ok(Shard { path: path.clone(), snapshot: Store::open(path)?.snapshot()? }))
             .collect::<Result<Vec<_>, IngestError>>()?;
         let site = agreed(&shards)?;
+        if left {
+            remove_store(out);
+        }
         let store = Store::create(
             out,
             SiteOptions {
@@ -78,6 +79,23 @@ pub fn merge(
             }
         }
     })
+}
+
+/// Is there a store that never had a commit? Anything else that is there is an error.
+fn left_by_a_crash(out: &Path) -> Result<bool, IngestError> {
+    if !out.exists() || Store::is_unfinished(out) {
+        return Ok(false);
+    }
+    let is_new = || {
+        let store = Store::open(out).ok()?;
+        // Whoever is writing to it holds the lock.
+        let _writer = store.writer().ok()?;
+        Some(store.snapshot().ok()?.generation() == 0)
+    };
+    if is_new().unwrap_or(false) {
+        return Ok(true);
+    }
+    Err(IngestError::OutputThere(out.to_owned()))
 }
 
 /// The site of them all.

@@ -43,6 +43,7 @@ pub use progress::{Progress, Stage};
 pub use report::{Report, ScanReport, Skipped, StageReport};
 pub use run::ingest;
 
+use crate::geometry::Pose;
 use crate::points::Crs;
 use crate::store::model::{FORMAT_G, FORMAT_LEAF_CAPACITY};
 
@@ -61,6 +62,10 @@ pub struct IngestOptions {
     pub ignore_crs: bool,
     /// Name of the scan, for a single input.
     pub name: Option<String>,
+    /// Where each input file's scans stand: applied after the file's own pose. As many as there are files, or none.
+    pub poses: Vec<Pose>,
+    /// What the columns of text files are called, in their order; `None` for their own names or the customary ones.
+    pub columns: Option<Vec<String>>,
     /// Look into folders below the given ones.
     pub recursive: bool,
     /// Refuse truncated files.
@@ -84,6 +89,8 @@ impl Default for IngestOptions {
             crs: None,
             ignore_crs: false,
             name: None,
+            poses: Vec::new(),
+            columns: None,
             recursive: false,
             strict: false,
             wait: false,

@@ -14,7 +14,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// Bytes of a bucket's first buffer; each next one is twice the size, up to [`LARGEST_BUFFER`]. Buffers are handed over
-/// when they are full and never grow: fresh memory is dear, and one that doubles in place touches it twice.
+/// when they are full and never grow: fresh memory is dear, and one that doubles in place touches it twice. (What is
+/// fresh is zero already.)
 const FIRST_BUFFER: usize = 4 << 10;
 const LARGEST_BUFFER: usize = 64 << 10;
 /// More buckets than this are joined eight to one.
@@ -130,6 +131,7 @@ impl<'a> Partition<'a> {
             k,
             open: Vec::new(),
             by_corner: HashMap::new(),
+            recent: [usize::MAX; RECENT],
             current: usize::MAX,
             open_bytes: 0,
             tally: ScanTally::default(),
@@ -192,9 +194,22 @@ fn join(buckets: HashMap<Cube, Vec<Segment>>, k: u8) -> HashMap<Cube, Vec<Segmen
 struct Open {
     corner: [u64; 3],
     rows: u32,
+    /// The buffer: room for whole rows, of which `used` bytes are taken. Empty if there is none.
     bytes: Vec<u8>,
+    used: usize,
     /// Size of the next buffer.
     next_bytes: usize,
+}
+
+/// Buckets that were looked up last, by a few bits of their corner.
+const RECENT: usize = 64;
+
+/// What becomes of the points of a run of records.
+struct RunTally {
+    stored: u64,
+    min: [u64; 3],
+    max: [u64; 3],
+    color_bits: u16,
 }
 
 /// Turns records of one scan into rows of buckets; one thread has one for all pieces of a scan.
@@ -205,6 +220,8 @@ pub(super) struct Sorter<'a, 'b> {
     k: u8,
     open: Vec<Open>,
     by_corner: HashMap<[u64; 3], usize>,
+    /// Places in `open`, or beyond it.
+    recent: [usize; RECENT],
     current: usize,
     open_bytes: usize,
     tally: ScanTally,
@@ -215,26 +232,51 @@ pub(super) struct Sorter<'a, 'b> {
 impl Sorter<'_, '_> {
     /// Takes a run of whole records; `most_open_bytes` limits what is held in buffers that are not full yet.
     pub fn take<K: RowKey>(&mut self, records: &[u8], most_open_bytes: usize) -> Result<(), IngestError> {
-        let stride = self.plan.layout.stride();
-        let head = self.plan.layout.position.size();
-        for record in records.chunks_exact(stride) {
-            let (position, payload) = record.split_at(head);
-            self.tally.read += 1;
-            let Some(point) = self.position(position) else { continue };
-            self.tally.stored += 1;
-            for axis in 0..3 {
-                self.min[axis] = self.min[axis].min(point.0[axis]);
-                self.max[axis] = self.max[axis].max(point.0[axis]);
-            }
-            if let Some(offsets) = self.plan.color_offsets {
-                for o in offsets {
-                    self.tally.color_bits |= u16::from_le_bytes([payload[o], payload[o + 1]]);
-                }
-            }
-            self.push::<K>(point, payload)?;
-        }
+        // A call to copy so few bytes takes longer than the copy: whole words of 8, the last two of which may overlap, and
+        // as many of them as the compiler knows.
+        match self.plan.layout.payload {
+            0..8 => self.take_run::<K, 0>(records),
+            8 => self.take_run::<K, 1>(records),
+            9..=16 => self.take_run::<K, 2>(records),
+            17..=24 => self.take_run::<K, 3>(records),
+            25..=32 => self.take_run::<K, 4>(records),
+            33..=40 => self.take_run::<K, 5>(records),
+            41..=48 => self.take_run::<K, 6>(records),
+            _ => self.take_run::<K, 0>(records),
+        }?;
         if self.open_bytes > most_open_bytes {
             self.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Takes records whose payload is copied as so many words, or in any way if that is 0.
+    fn take_run<K: RowKey, const WORDS: usize>(&mut self, records: &[u8]) -> Result<(), IngestError> {
+        let stride = self.plan.layout.stride();
+        let head = self.plan.layout.position.size();
+        let colors = self.plan.color_offsets;
+        let mut run = RunTally { stored: 0, min: [u64::MAX; 3], max: [0; 3], color_bits: 0 };
+        for record in records.chunks_exact(stride) {
+            let (position, payload) = record.split_at(head);
+            let Some(point) = self.position(position) else { continue };
+            run.stored += 1;
+            for axis in 0..3 {
+                run.min[axis] = run.min[axis].min(point.0[axis]);
+                run.max[axis] = run.max[axis].max(point.0[axis]);
+            }
+            if let Some(offsets) = colors {
+                for o in offsets {
+                    run.color_bits |= u16::from_le_bytes([payload[o], payload[o + 1]]);
+                }
+            }
+            self.push::<K, WORDS>(point, payload)?;
+        }
+        self.tally.read += (records.len() / stride) as u64;
+        self.tally.stored += run.stored;
+        self.tally.color_bits |= run.color_bits;
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(run.min[axis]);
+            self.max[axis] = self.max[axis].max(run.max[axis]);
         }
         Ok(())
     }
@@ -311,30 +353,44 @@ impl Sorter<'_, '_> {
     }
 
     #[inline]
-    fn push<K: RowKey>(&mut self, point: LatticePoint, payload: &[u8]) -> Result<(), IngestError> {
+    fn push<K: RowKey, const WORDS: usize>(&mut self, point: LatticePoint, payload: &[u8]) -> Result<(), IngestError> {
         let corner = point.0.map(|c| c >> self.k);
-        if self.open.get(self.current).is_none_or(|o| o.corner != corner) {
-            self.current = *self.by_corner.entry(corner).or_insert_with(|| {
-                self.open.push(Open { corner, rows: 0, bytes: Vec::new(), next_bytes: FIRST_BUFFER });
-                self.open.len() - 1
-            });
+        if self.open.get(self.current).is_none_or(|o| !same(o.corner, corner)) {
+            self.turn_to(corner);
         }
         let row_bytes = K::BYTES + payload.len();
         let open = &mut self.open[self.current];
-        if open.bytes.capacity() == 0 {
-            open.bytes.reserve_exact(open.next_bytes.max(row_bytes));
+        if open.bytes.is_empty() {
+            let rows = (open.next_bytes / row_bytes).max(1);
             open.next_bytes = (2 * open.next_bytes).min(LARGEST_BUFFER);
-            self.open_bytes += open.bytes.capacity();
+            open.bytes = vec![0; rows * row_bytes];
+            self.open_bytes += open.bytes.len();
         }
-        K::of(point).push(&mut open.bytes);
-        open.bytes.extend_from_slice(payload);
+        let row = &mut open.bytes[open.used..open.used + row_bytes];
+        K::of(point).write(row);
+        copy_payload::<WORDS>(payload, &mut row[K::BYTES..]);
+        open.used += row_bytes;
         open.rows += 1;
-        if open.bytes.len() + row_bytes > open.bytes.capacity() {
+        if open.used == open.bytes.len() {
+            open.used = 0;
             let (rows, bytes) = (std::mem::take(&mut open.rows), std::mem::take(&mut open.bytes));
-            self.open_bytes -= bytes.capacity();
+            self.open_bytes -= bytes.len();
             self.hand_over(corner, rows, bytes)?;
         }
         Ok(())
+    }
+
+    /// Makes the bucket at `corner` the current one.
+    fn turn_to(&mut self, corner: [u64; 3]) {
+        let recent = (corner[0] ^ corner[1] << 3 ^ corner[2] << 5) as usize % RECENT;
+        self.current = self.recent[recent];
+        if self.open.get(self.current).is_none_or(|o| !same(o.corner, corner)) {
+            self.current = *self.by_corner.entry(corner).or_insert_with(|| {
+                self.open.push(Open { corner, rows: 0, bytes: Vec::new(), used: 0, next_bytes: FIRST_BUFFER });
+                self.open.len() - 1
+            });
+            self.recent[recent] = self.current;
+        }
     }
 
     fn hand_over(&self, corner: [u64; 3], rows: u32, bytes: Vec<u8>) -> Result<(), IngestError> {
@@ -344,11 +400,13 @@ impl Sorter<'_, '_> {
 
     fn flush(&mut self) -> Result<(), IngestError> {
         self.by_corner.clear();
+        self.recent = [usize::MAX; RECENT];
         self.current = usize::MAX;
         self.open_bytes = 0;
         for open in std::mem::take(&mut self.open) {
             if open.rows > 0 {
                 let mut bytes = open.bytes;
+                bytes.truncate(open.used);
                 bytes.shrink_to_fit();
                 self.hand_over(open.corner, open.rows, bytes)?;
             }
@@ -364,6 +422,27 @@ impl Sorter<'_, '_> {
         }
         Ok(self.tally)
     }
+}
+
+/// Are they equal? Number by number: as an array they would be stored apart and loaded together, for which the processor
+/// waits.
+#[inline]
+fn same(a: [u64; 3], b: [u64; 3]) -> bool {
+    (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2]) == 0
+}
+
+/// Copies a payload of more than `8 * (WORDS - 1)` bytes and at most `8 * WORDS`; of any size if `WORDS` is 0.
+#[inline]
+fn copy_payload<const WORDS: usize>(from: &[u8], to: &mut [u8]) {
+    if WORDS == 0 {
+        to.copy_from_slice(from);
+        return;
+    }
+    let mut copy = |start: usize| to[start..start + 8].copy_from_slice(&from[start..start + 8]);
+    for word in 0..WORDS - 1 {
+        copy(8 * word);
+    }
+    copy(from.len() - 8);
 }
 
 /// The exponent at which about `wanted` cubes are occupied by a surface with these bounds, and whether row keys must be

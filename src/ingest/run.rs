@@ -51,7 +51,7 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
     let started = Instant::now();
     let mut stages = Stages::default();
     // A store that is there is locked first: what is looked at then stays true.
-    let mut open = match context.path.exists() {
+    let mut open = match context.path.exists() && !Store::is_unfinished(context.path) {
         true => Some(opened(context, Store::open(context.path)?)?),
         false => None,
     };

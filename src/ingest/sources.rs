@@ -1,11 +1,12 @@
 //! The inputs of one command: opened, recognised, named, and compared with what the store has.
 
-use super::identity::{IDENTITY_POSE, content_hash, scan_identity};
+use super::identity::{content_hash, scan_identity};
 use super::naming::unique_name;
 use super::progress::Progress;
 use super::report::Skipped;
 use super::{IngestError, IngestOptions};
 use crate::formats::{self, PointSource, ReadOptions};
+use crate::geometry::Pose;
 use crate::points::Crs;
 use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
@@ -15,6 +16,8 @@ use std::path::PathBuf;
 pub(super) struct Source {
     pub reader: Box<dyn PointSource>,
     pub name: String,
+    /// Its number in its file, from one, if that has several.
+    number: Option<u32>,
     pub bytes: u64,
     /// Known ahead only where another source or a stored scan has the same size.
     pub content: Option<[u8; 32]>,
@@ -25,7 +28,32 @@ pub(super) struct Source {
 
 impl Source {
     pub fn identity(&self, content: &[u8; 32]) -> [u8; 32] {
-        scan_identity(content, self.reader.info().index, &IDENTITY_POSE, "")
+        let info = self.reader.info();
+        scan_identity(content, info.index, &self.pose(), &info.options)
+    }
+
+    /// World from the scan's own frame, as the store keeps it.
+    pub fn pose(&self) -> [f64; 16] {
+        self.reader.info().pose.to_matrix()
+    }
+
+    /// The stored scan that is this source with another pose, or read without the options of this run.
+    fn with_another_pose<'s>(&self, content: &[u8; 32], stored: &'s [Scan]) -> Option<&'s Scan> {
+        let info = self.reader.info();
+        let same = |s: &&Scan| {
+            let of = |options: &str| scan_identity(content, info.index, &s.pose, options);
+            s.source_bytes == self.bytes && (s.identity == of(&info.options) || s.identity == of(""))
+        };
+        stored.iter().find(same)
+    }
+
+    /// The file, and which of its scans.
+    fn label(&self) -> String {
+        let info = self.reader.info();
+        match self.number {
+            Some(number) => format!("{} (scan {number})", info.path.display()),
+            None => info.path.display().to_string(),
+        }
     }
 }
 
@@ -53,21 +81,27 @@ pub(super) fn open(
         let hint = if options.recursive { "" } else { " (--recursive looks into folders below)" };
         return Err(IngestError::NoInput(hint.into()));
     }
+    let poses = poses(&listed.files, options)?;
     let mut opened = Vec::new();
-    for path in listed.files {
-        let reader = formats::open(&path, &ReadOptions::default())?;
+    for (path, pose) in listed.files.into_iter().zip(poses) {
+        let how = ReadOptions { pose, columns: options.columns.clone(), ..ReadOptions::default() };
+        let readers = formats::open_all(&path, &how)?;
         let bytes = std::fs::metadata(&path).map(|m| m.len()).map_err(|source| formats::FormatError::Io {
             path: path.clone(),
             action: "reading the size",
             source,
         })?;
-        let info = reader.info();
-        if options.strict && info.missing > 0 {
-            return Err(IngestError::Truncated { path, missing: info.missing });
+        let several = readers.len() > 1;
+        for reader in readers {
+            let info = reader.info();
+            if options.strict && info.missing > 0 {
+                return Err(IngestError::Truncated { path, missing: info.missing });
+            }
+            let crs = options.crs.clone().or_else(|| info.crs.clone()).filter(|c| !c.is_empty());
+            let warnings = info.warnings.clone();
+            let number = several.then_some(info.index.saturating_add(1));
+            opened.push(Source { reader, name: String::new(), number, bytes, content: None, crs, warnings });
         }
-        let crs = options.crs.clone().or_else(|| info.crs.clone()).filter(|c| !c.is_empty());
-        let warnings = info.warnings.clone();
-        opened.push(Source { reader, name: String::new(), bytes, content: None, crs, warnings });
     }
 
     // Hash ahead only what could be there already.
@@ -80,19 +114,26 @@ pub(super) fn open(
     let mut taken: HashSet<String> = stored.iter().map(|s| s.name.clone()).collect();
     let mut sources = Vec::new();
     let single = opened.len() == 1;
+    // The scans of a file are next to each other, and have one content.
+    let mut hashed: Option<(PathBuf, [u8; 32])> = None;
     for mut source in opened {
         let path = source.reader.info().path.clone();
         if sizes.get(&source.bytes).is_some_and(|&n| n > 1) {
-            let Some(content) = content_hash(&path, &|| progress.cancelled())? else {
-                return Err(IngestError::Interrupted);
+            let content = match &hashed {
+                Some((of, content)) if *of == path => *content,
+                _ => content_hash(&path, &|| progress.cancelled())?.ok_or(IngestError::Interrupted)?,
             };
+            hashed = Some((path.clone(), content));
             source.content = Some(content);
             let identity = source.identity(&content);
             if let Some(reason) = by_identity.get(&identity) {
-                skipped.push(Skipped { path: path.display().to_string(), reason: reason.clone() });
+                skipped.push(Skipped { path: source.label(), reason: reason.clone() });
                 continue;
             }
-            by_identity.insert(identity, format!("the same bytes as {}", path.display()));
+            if let Some(scan) = source.with_another_pose(&content, stored) {
+                return Err(IngestError::OtherPose { scan: source.label(), name: scan.name.clone() });
+            }
+            by_identity.insert(identity, format!("the same bytes as {}", source.label()));
         }
         source.name = match &options.name {
             Some(name) if single => {
@@ -102,11 +143,54 @@ pub(super) fn open(
                 name.clone()
             }
             Some(_) => return Err(IngestError::NameOfMany),
-            None => unique_name(&path, &mut taken),
+            None => unique_name(&path, source.reader.info().scan_name.as_deref(), source.number, &mut taken),
         };
         sources.push(source);
     }
     Ok(Sources { sources, skipped })
+}
+
+/// Opens the source of a stored scan again: of its file, the one scan that it was. Where no pose is given, it keeps its own.
+pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Progress) -> Result<Source, IngestError> {
+    let path = PathBuf::from(&old.source);
+    let opened = |pose: Pose| {
+        let poses = vec![pose];
+        open(std::slice::from_ref(&path), &IngestOptions { poses, name: None, ..options.clone() }, &[], progress)
+    };
+    let given = options.poses.first().copied();
+    let mut sources = opened(given.unwrap_or_default())?.sources;
+    let content = content_hash(&path, &|| progress.cancelled())?.ok_or(IngestError::Interrupted)?;
+    // Its number in the file is part of its identity; in a file that has changed, its name there must do.
+    let is_old = |s: &Source| {
+        let info = s.reader.info();
+        ["", &info.options].iter().any(|o| scan_identity(&content, info.index, &old.pose, o) == old.identity)
+    };
+    let number = sources.iter().position(is_old).or_else(|| {
+        let named = sources.iter().position(|s| s.reader.info().scan_name.as_deref() == Some(&*old.name));
+        named.or((sources.len() == 1).then_some(0))
+    });
+    let lost = || IngestError::Changed { path: path.clone(), name: old.name.clone() };
+    let mut source = number.filter(|&n| n < sources.len()).map(|n| sources.swap_remove(n)).ok_or_else(lost)?;
+    let own = source.reader.info().pose;
+    if given.is_none() && source.pose() != old.pose {
+        // It was given one: what comes after the file's own.
+        let kept = Pose::from_matrix(&old.pose).and_then(|pose| pose.after(&own.inverted()?));
+        let (kept, index) = (kept.map_err(|_| lost())?, source.reader.info().index);
+        let again = opened(kept)?.sources;
+        source = again.into_iter().find(|s| s.reader.info().index == index).ok_or_else(lost)?;
+    }
+    source.name = options.name.clone().unwrap_or_else(|| old.name.clone());
+    source.content = Some(content);
+    Ok(source)
+}
+
+/// The pose for each of `files`: one each, or none at all.
+fn poses(files: &[PathBuf], options: &IngestOptions) -> Result<Vec<Pose>, IngestError> {
+    match options.poses.len() {
+        0 => Ok(vec![Pose::IDENTITY; files.len()]),
+        n if n == files.len() => Ok(options.poses.clone()),
+        poses => Err(IngestError::Poses { poses, files: files.len() }),
+    }
 }
 
 /// Compares the CRS of all sources with the site's; returns the site's CRS afterwards and what to tell.

@@ -30,4 +30,4 @@ pub use remove::{Doomed, Matching, Requests};
 pub use step::Step;
 pub use thin::{DetailOrder, DetailPrefix, canonical_order, canonical_prefix, even_order};
 pub use tree::{MemoryTree, Tree};
-pub use win::{first_win, steps, wins};
+pub use win::{first_win, put_wins, steps, wins};

@@ -39,9 +39,11 @@ struct Steps {
 /// If the lengths differ, or there are 2^32 points or more.
 pub fn split(wins: &[i8], groups: &[u8]) -> Vec<PartPlan> {
     assert!(wins.len() == groups.len() && u32::try_from(wins.len()).is_ok(), "wins and groups of a node must match");
+    // Step numbers fit a byte.
+    let numbers: Vec<u8> = wins.iter().zip(groups).map(|(&win, &group)| Step::number(win, group) as u8).collect();
     let mut counts = [0_u64; Step::COUNT];
-    for (&win, &group) in wins.iter().zip(groups) {
-        counts[Step::number(win, group)] += 1;
+    for &number in &numbers {
+        counts[usize::from(number)] += 1;
     }
     let mut steps: Vec<Steps> =
         (0..Step::COUNT).filter(|&n| counts[n] > 0).map(|n| Steps { first: n, last: n, points: counts[n] }).collect();
@@ -69,6 +71,11 @@ pub fn split(wins: &[i8], groups: &[u8]) -> Vec<PartPlan> {
     } else {
         parts.extend(runs.iter().map(plan));
     }
+    if parts.len() == 1 {
+        // Fewer than 2^32, as asserted.
+        parts[0].points.extend(0..wins.len() as u32);
+        return parts;
+    }
     let mut part_of = [0_usize; Step::COUNT];
     for (part, run) in runs.iter().enumerate() {
         part_of[run.first..=run.last].fill(part);
@@ -76,8 +83,8 @@ pub fn split(wins: &[i8], groups: &[u8]) -> Vec<PartPlan> {
     // Where the next repeated position goes: its piece, and how many more the piece takes.
     let mut piece = parts.len() - pieces.len();
     let mut seen = 0;
-    for (i, (&win, &group)) in wins.iter().zip(groups).enumerate() {
-        let number = Step::number(win, group);
+    for (i, &number) in numbers.iter().enumerate() {
+        let number = usize::from(number);
         let part = if is_repeated(number) && !pieces.is_empty() {
             if seen == pieces[piece + pieces.len() - parts.len()] {
                 piece += 1;
@@ -92,6 +99,8 @@ pub fn split(wins: &[i8], groups: &[u8]) -> Vec<PartPlan> {
     }
     parts
 }
+
+const _: () = assert!(Step::COUNT <= 256);
 
 /// Is it the step of the repeated positions?
 fn is_repeated(number: usize) -> bool {

@@ -7,12 +7,19 @@ use crate::lattice::{BITS, Cube, SortKey};
 ///
 /// `keys` are sorted. `first` is the root's exponent for the first point of the tree, [`first_win`] for a bucket's.
 pub fn wins<K: SortKey>(keys: &[K], first: i8) -> Vec<i8> {
-    let mut wins = Vec::with_capacity(keys.len());
+    let mut wins = Vec::new();
+    put_wins(keys, first, &mut wins);
+    wins
+}
+
+/// [`wins`] in place of what `wins` held.
+pub fn put_wins<K: SortKey>(keys: &[K], first: i8, wins: &mut Vec<i8>) {
+    wins.clear();
     if !keys.is_empty() {
+        wins.reserve(keys.len());
         wins.push(first);
         wins.extend(keys.windows(2).map(|w| w[0].differing_digit(w[1])));
     }
-    wins
 }
 
 /// The win of the first point in `bucket`, whose predecessor lies in `previous`, the last bucket before it that holds

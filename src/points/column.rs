@@ -66,6 +66,16 @@ impl Column {
         with_column!(self, v => v.resize(len, Default::default()));
     }
 
+    /// Appends the last value `more` times.
+    pub fn repeat_last(&mut self, more: usize) {
+        with_column!(self, v => if let Some(&last) = v.last() { v.resize(v.len() + more, last) });
+    }
+
+    /// Takes all values away and keeps the memory.
+    pub fn clear(&mut self) {
+        with_column!(self, v => v.clear());
+    }
+
     /// The type of the values.
     pub fn ty(&self) -> ScalarType {
         match self {

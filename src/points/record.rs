@@ -126,6 +126,19 @@ impl RecordLayout {
         }
     }
 
+    /// Does attribute `index` differ among payloads that differ in the bits set in `varying`, byte by byte?
+    ///
+    /// # Panics
+    ///
+    /// If `varying` is shorter than a payload.
+    pub fn varies(&self, index: usize, varying: &[u8]) -> bool {
+        let Field { offset, kind } = self.fields[index];
+        match kind {
+            FieldKind::Whole => varying[offset..offset + self.attributes[index].ty.size()].iter().any(|&b| b != 0),
+            FieldKind::Bits { shift, mask } => varying[offset] >> shift & mask != 0,
+        }
+    }
+
     /// Appends the canonical record bytes of one payload: every attribute in canonical order, little-endian.
     /// What breaks ties between equal keys, and what the digest hashes.
     pub fn canonical_bytes(&self, payload: &[u8], out: &mut Vec<u8>) {

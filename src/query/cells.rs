@@ -7,6 +7,7 @@
 use super::QueryError;
 use super::part::{Look, Part};
 use super::plan::{Plan, Prospect, Scope};
+use super::ties;
 use crate::geometry::Containment;
 use crate::lattice::{Cube, Key, LatticeBox, LatticePoint};
 use crate::store::NodeIx;
@@ -46,6 +47,7 @@ pub(crate) fn everything(plan: &Plan) -> Result<Vec<Pick>, QueryError> {
         .collect::<Result<_, QueryError>>()?;
     let mut picks = read.concat();
     picks.par_sort_unstable();
+    ties::settle(plan, &mut picks)?;
     Ok(picks)
 }
 
@@ -58,6 +60,7 @@ pub(crate) fn filtered(plan: &Plan, c: u8) -> Result<Vec<Pick>, QueryError> {
         picks.extend(filtered_layer(plan, layer, c)?);
     }
     picks.par_sort_unstable();
+    ties::settle(plan, &mut picks)?;
     picks.dedup_by_key(|p| p.key.prefix(c));
     Ok(picks)
 }

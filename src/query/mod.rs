@@ -22,6 +22,7 @@ mod run;
 mod summary;
 #[cfg(test)]
 mod tests;
+mod ties;
 mod view;
 
 pub use answer::{Answer, Statistics};

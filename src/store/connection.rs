@@ -155,6 +155,23 @@ fn check_wal(path: &Path) -> Result<(), StoreError> {
     }
 }
 
+/// Is there nothing in the database, as when its making was cut off?
+fn is_blank(connection: &Connection) -> Result<bool, RowError> {
+    let number = |sql: &str| connection.query_row(sql, [], |row| row.get::<_, i64>(0));
+    let tables = number("SELECT count(*) FROM sqlite_schema")?;
+    Ok(tables == 0 && number("PRAGMA user_version")? == 0 && number("PRAGMA application_id")? == 0)
+}
+
+/// Is this file what remains of a store whose making was cut off: nothing at all?
+pub(super) fn is_unfinished(path: &Path) -> bool {
+    match std::fs::metadata(path) {
+        Ok(facts) if facts.is_file() && facts.len() == 0 => true,
+        // Opening it rolls back what was half done.
+        Ok(facts) if facts.is_file() => open_raw(path, Purpose::Read).and_then(|c| is_blank(&c)).unwrap_or(false),
+        _ => false,
+    }
+}
+
 /// Is it a store, of a version that this program knows?
 fn check_kind(connection: &Connection, path: &Path) -> Result<(), Refused> {
     let pragma = |name: &str| {
@@ -162,6 +179,10 @@ fn check_kind(connection: &Connection, path: &Path) -> Result<(), Refused> {
         value.map_err(|e| Refused::of(e.into(), path))
     };
     let kind = pragma("application_id")?;
+    if kind == 0 && is_blank(connection).unwrap_or(false) {
+        let found = "it is empty, since its making was cut off; the command that makes it can be given again".into();
+        return Err(Refused::Store(StoreError::NotAStore { path: path.to_path_buf(), found }));
+    }
     if kind != i64::from(APPLICATION_ID) {
         let found = "it is an SQLite database of another program".into();
         return Err(Refused::Store(StoreError::NotAStore { path: path.to_path_buf(), found }));

@@ -8,10 +8,10 @@ use super::model::{
 use super::rows::{ChunkRow, pack};
 use super::shape::Relative;
 use super::writer::ChunkIds;
-use super::zones::{range_of_all, range_where};
+use super::zones::{merge_ranges, range_of_all, range_where};
 use crate::codec::{CodecError, Encoder, Passes};
 use crate::lattice::{Cube, LatticeBox, SortKey};
-use crate::octree;
+use crate::octree::PartPlan;
 use crate::points::{Column, ScalarType};
 
 /// Columns shorter than this share a row: a row of its own costs about 60 bytes beside its content, and leaves a part of
@@ -69,6 +69,50 @@ impl ScanTable {
     }
 }
 
+/// The attributes of some points, by column, and the scan of each point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PointColumns {
+    /// The scan of each point.
+    pub scans: Vec<ScanId>,
+    /// The attributes, ascending by slot: one value per point, zero where the point's scan lacks it. A column that no
+    /// scan of these points has may be left out.
+    pub columns: Vec<(Slot, Column)>,
+}
+
+impl PointColumns {
+    /// The columns of each part of a node, from those of all its points in key order.
+    ///
+    /// # Panics
+    ///
+    /// If a column is shorter than the plan.
+    pub fn cut(&self, plan: &[PartPlan]) -> Vec<Self> {
+        let of_part = |part: &PartPlan| {
+            let column = |(slot, all): &(Slot, Column)| {
+                let mut own = Column::with_capacity(all.ty(), part.points.len());
+                own.extend_gathered(all, &part.points);
+                (*slot, own)
+            };
+            Self {
+                scans: part.points.iter().map(|&i| self.scans[i as usize]).collect(),
+                columns: self.columns.iter().map(column).collect(),
+            }
+        };
+        plan.iter().map(of_part).collect()
+    }
+
+    /// The same, borrowed.
+    pub(super) fn slices(&self) -> ColumnSlices<'_> {
+        ColumnSlices { scans: &self.scans, columns: &self.columns }
+    }
+}
+
+/// [`PointColumns`], borrowed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ColumnSlices<'a> {
+    pub scans: &'a [ScanId],
+    pub columns: &'a [(Slot, Column)],
+}
+
 /// A node's own points, in key order (ties by record bytes, then by the scan's content).
 #[derive(Clone, Copy, Debug)]
 pub struct NodeInput<'a, K> {
@@ -82,13 +126,10 @@ pub struct NodeInput<'a, K> {
     pub children: u8,
     /// The keys, ascending: `u64` for cubes of exponent at most 21.
     pub keys: &'a [K],
-    /// The win of each point ([`octree::wins`]).
-    pub wins: &'a [i8],
-    /// The scan of each point.
-    pub scans: &'a [ScanId],
-    /// The attributes, any order: one value per point, zero where the point's scan lacks it. A column that no scan of
-    /// the node has may be left out.
-    pub columns: &'a [(Slot, Column)],
+    /// How the points are cut into parts: [`octree::split`](crate::octree::split).
+    pub plan: &'a [PartPlan],
+    /// The attributes of each part's points, in the part's order.
+    pub parts: &'a [PointColumns],
 }
 
 /// A node ready to be written; what it says of its subtree is of its own points only until [`super::merge_subtree`].
@@ -107,7 +148,6 @@ pub struct EncodedNode {
 pub struct EncodeScratch {
     encoder: Encoder,
     relative: Relative,
-    scans: Vec<ScanId>,
 }
 
 /// Encodes a node.
@@ -118,21 +158,20 @@ pub struct EncodeScratch {
 ///
 /// # Panics
 ///
-/// If `wins`, `scans` or a column has another length than `keys`.
+/// If the parts and the keys, or the columns of a part, differ in length.
 pub fn encode_node<K: SortKey>(
     input: &NodeInput<'_, K>,
     table: &ScanTable,
     ids: &ChunkIds,
     scratch: &mut EncodeScratch,
 ) -> Result<EncodedNode, CodecError> {
-    let NodeInput { layer, cube, leaf, children, keys, wins, scans, columns } = *input;
-    assert!(wins.len() == keys.len(), "a node's columns have one length");
-    let Description { scans: counts, bounds, shape, zones } = describe(input, table, &mut scratch.relative);
+    let NodeInput { layer, cube, leaf, children, keys, plan, parts } = *input;
+    assert!(plan.len() == parts.len(), "every part has its columns");
+    let slices: Vec<_> = parts.iter().map(PointColumns::slices).collect();
+    let Description { scans: counts, bounds, shape, zones } =
+        describe(cube, keys, &slices, table, &mut scratch.relative);
     let zones = Zones { subtree: zones.clone(), own: zones };
-    let mut sorted: Vec<&(Slot, Column)> = columns.iter().collect();
-    sorted.sort_by_key(|c| c.0);
 
-    let plan = octree::split(wins, &octree::steps(keys, wins));
     let base = ids.reserve(plan.len());
     let mut head = NodeHead {
         layer,
@@ -149,53 +188,40 @@ pub fn encode_node<K: SortKey>(
         parts: Vec::with_capacity(plan.len()),
     };
     let mut chunks = Vec::new();
-    for (part, plan) in plan.into_iter().enumerate() {
-        let whole = plan.points.len() == keys.len();
+    for (part, (plan, PointColumns { scans, columns })) in plan.iter().zip(parts).enumerate() {
+        assert!(plan.points.len() == scans.len(), "a part's columns have its length");
         let mut pieces: Vec<(Slot, Vec<u8>)> = Vec::with_capacity(columns.len() + 2);
         let picked: Vec<K>;
-        let keys = if whole {
+        let keys = if plan.points.len() == keys.len() {
             keys
         } else {
             picked = plan.points.iter().map(|&i| keys[i as usize]).collect();
             &picked
         };
-        scratch.scans.clear();
-        scratch.scans.extend(plan.points.iter().map(|&i| scans[i as usize]));
-        let scan_column = Column::U32(std::mem::take(&mut scratch.scans));
-        let mut scan_bytes = Vec::new();
-        scratch.encoder.column(&scan_column, &mut scan_bytes)?;
-        let Column::U32(part_scans) = scan_column else { unreachable!("it was put in as one") };
-        let present = count_scans(&part_scans);
-        scratch.scans = part_scans;
-        let of_part = |column: &Column| {
-            let mut picked = Column::with_capacity(column.ty(), plan.points.len());
-            picked.extend_gathered(column, &plan.points);
-            picked
-        };
+        let present = count_scans(scans);
         let is_there = |slot: Slot| present.iter().any(|c| table.has(c.scan, slot));
         // Times come first: they show the passes, which positions carry and other columns are encoded by.
-        let times = sorted.iter().find(|c| table.times.contains(&c.0) && is_there(c.0));
+        let times = columns.iter().find(|c| table.times.contains(&c.0) && is_there(c.0));
         let mut time_bytes = Vec::new();
         let passes = match times {
-            Some((_, times)) if whole => scratch.encoder.times(times, cube, keys, &mut time_bytes)?,
-            Some((_, times)) => scratch.encoder.times(&of_part(times), cube, keys, &mut time_bytes)?,
+            Some((_, times)) => scratch.encoder.times(times, cube, keys, &mut time_bytes)?,
             None => Passes::default(),
         };
         let mut bytes = Vec::new();
         scratch.encoder.positions_with(cube, keys, &passes, &mut bytes)?;
         pieces.push((SLOT_POSITION, bytes));
-        pieces.push((SLOT_SCAN, scan_bytes));
-        for (slot, column) in &sorted {
+        let mut bytes = Vec::new();
+        scratch.encoder.column(&Column::U32(scans.clone()), &mut bytes)?;
+        pieces.push((SLOT_SCAN, bytes));
+        for (slot, column) in columns {
             if !is_there(*slot) {
                 continue;
             }
             let mut bytes = Vec::new();
             if times.is_some_and(|times| times.0 == *slot) {
                 bytes = std::mem::take(&mut time_bytes);
-            } else if whole {
-                scratch.encoder.column_beside(column, &passes, &mut bytes)?;
             } else {
-                scratch.encoder.column_beside(&of_part(column), &passes, &mut bytes)?;
+                scratch.encoder.column_beside(column, &passes, &mut bytes)?;
             }
             pieces.push((*slot, bytes));
         }
@@ -223,30 +249,38 @@ pub(super) struct Description {
     pub zones: Vec<(Slot, Range)>,
 }
 
-/// Describes a node's own points; `wins` are not looked at.
+/// Describes a node's own points: their keys in order, and the attributes of some after the other, in any order.
 pub(super) fn describe<K: SortKey>(
-    input: &NodeInput<'_, K>,
+    cube: Cube,
+    keys: &[K],
+    parts: &[ColumnSlices<'_>],
     table: &ScanTable,
     relative: &mut Relative,
 ) -> Description {
-    let NodeInput { cube, keys, scans, columns, .. } = *input;
-    assert!(scans.len() == keys.len(), "a node's columns have one length");
-    assert!(columns.iter().all(|c| c.1.len() == keys.len()), "a node's columns have one length");
-    let counts = count_scans(scans);
-    relative.fill(cube, keys);
-    let shape = Shape { color: mean_color(input, table, &counts), ..relative.shape(cube) };
-    let mut zones: Vec<(Slot, Range)> = Vec::with_capacity(columns.len());
-    for (slot, column) in columns {
-        let having = counts.iter().filter(|c| table.has(c.scan, *slot)).count();
-        let range = match having {
-            0 => None,
-            n if n == counts.len() => range_of_all(column),
-            _ => range_where(column, |i| table.has(scans[i], *slot)),
-        };
-        zones.extend(range.map(|r| (*slot, r)));
+    assert!(parts.iter().map(|p| p.scans.len()).sum::<usize>() == keys.len(), "the parts are all of the node");
+    let mut scans: Vec<ScanCount> = Vec::new();
+    let mut zones: Vec<(Slot, Range)> = Vec::new();
+    let mut color = ColorSum::default();
+    for part in parts {
+        assert!(part.columns.iter().all(|c| c.1.len() == part.scans.len()), "a part's columns have one length");
+        let counts = count_scans(part.scans);
+        color.add(part, table, &counts);
+        for (slot, column) in part.columns {
+            let having = counts.iter().filter(|c| table.has(c.scan, *slot)).count();
+            let range = match having {
+                0 => None,
+                n if n == counts.len() => range_of_all(column),
+                _ => range_where(column, |i| table.has(part.scans[i], *slot)),
+            };
+            if let Some(range) = range {
+                merge_ranges(&mut zones, &[(*slot, range)]);
+            }
+        }
+        counts.into_iter().for_each(|count| add_count(&mut scans, count));
     }
-    zones.sort_by_key(|z| z.0);
-    Description { scans: counts, bounds: relative.bounds(cube), shape, zones }
+    relative.fill(cube, keys);
+    let shape = Shape { color: color.mean(), ..relative.shape() };
+    Description { scans, bounds: relative.bounds(cube), shape, zones }
 }
 
 /// Decides which columns of the part share a row, and makes the rows. `pieces` ascend by slot.
@@ -275,43 +309,65 @@ fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chun
 /// How many points of each scan there are, ascending by scan.
 fn count_scans(scans: &[ScanId]) -> Vec<ScanCount> {
     let mut counts: Vec<ScanCount> = Vec::new();
-    for run in scans.chunk_by(|a, b| a == b) {
-        let (scan, n) = (run[0], run.len() as u64);
-        match counts.binary_search_by_key(&scan, |c| c.scan) {
-            Ok(i) => {
-                counts[i].own += n;
-                counts[i].subtree += n;
-            }
-            Err(i) => counts.insert(i, ScanCount { scan, own: n, subtree: n }),
+    let mut add = |scan: ScanId, n: usize| add_count(&mut counts, ScanCount { scan, own: n as u64, subtree: n as u64 });
+    // In blocks, of which most are of one scan: so the compiler compares many at once.
+    for block in scans.chunks(256) {
+        if block.iter().fold(0, |d, scan| d | (scan ^ block[0])) == 0 {
+            add(block[0], block.len());
+        } else {
+            block.chunk_by(|a, b| a == b).for_each(|run| add(run[0], run.len()));
         }
     }
     counts
 }
 
-/// The mean colour at 16 bits of the points that have all three.
-fn mean_color<K>(input: &NodeInput<'_, K>, table: &ScanTable, counts: &[ScanCount]) -> Option<[u16; 3]> {
-    let column = |slot: Slot| input.columns.iter().find(|c| c.0 == slot).map(|c| &c.1);
-    let mut sums = [0_u64; 3];
-    let mut points = 0_u64;
-    for count in counts {
-        let Some(facts) = table.facts(count.scan) else { continue };
-        let of_scan =
-            |slots: &[Slot]| slots.iter().find(|s| facts.slots.binary_search(s).is_ok()).and_then(|s| column(*s));
-        let [Some(red), Some(green), Some(blue)] = std::array::from_fn(|i| of_scan(&table.colors[i])) else { continue };
-        for (sum, channel) in sums.iter_mut().zip([red, green, blue]) {
-            let deep = if facts.eight_bit || channel.ty() == ScalarType::U8 { 257 } else { 1 };
-            let all = counts.len() == 1;
-            let add = match channel {
-                Column::U8(v) => sum_of(v, input.scans, count.scan, all),
-                Column::U16(v) => sum_of(v, input.scans, count.scan, all),
-                _ => 0,
-            };
-            *sum = sum.saturating_add(add.saturating_mul(deep));
+fn add_count(counts: &mut Vec<ScanCount>, more: ScanCount) {
+    match counts.binary_search_by_key(&more.scan, |c| c.scan) {
+        Ok(i) => {
+            counts[i].own += more.own;
+            counts[i].subtree += more.subtree;
         }
-        points += count.own;
+        Err(i) => counts.insert(i, more),
     }
-    // Rounded to the nearest, halves up.
-    (points > 0).then(|| sums.map(|s| u16::try_from((2 * s + points) / (2 * points)).unwrap_or(u16::MAX)))
+}
+
+/// The colours at 16 bits, added up, of the points that have all three.
+#[derive(Default)]
+struct ColorSum {
+    sums: [u64; 3],
+    points: u64,
+}
+
+impl ColorSum {
+    /// Adds points, of which `counts` says how many each scan has.
+    fn add(&mut self, part: &ColumnSlices<'_>, table: &ScanTable, counts: &[ScanCount]) {
+        let column = |slot: Slot| part.columns.iter().find(|c| c.0 == slot).map(|c| &c.1);
+        for count in counts {
+            let Some(facts) = table.facts(count.scan) else { continue };
+            let of_scan =
+                |slots: &[Slot]| slots.iter().find(|s| facts.slots.binary_search(s).is_ok()).and_then(|s| column(*s));
+            let [Some(red), Some(green), Some(blue)] = std::array::from_fn(|i| of_scan(&table.colors[i])) else {
+                continue;
+            };
+            for (sum, channel) in self.sums.iter_mut().zip([red, green, blue]) {
+                let deep = if facts.eight_bit || channel.ty() == ScalarType::U8 { 257 } else { 1 };
+                let all = counts.len() == 1;
+                let add = match channel {
+                    Column::U8(v) => sum_of(v, part.scans, count.scan, all),
+                    Column::U16(v) => sum_of(v, part.scans, count.scan, all),
+                    _ => 0,
+                };
+                *sum = sum.saturating_add(add.saturating_mul(deep));
+            }
+            self.points += count.own;
+        }
+    }
+
+    /// Rounded to the nearest, halves up.
+    fn mean(&self) -> Option<[u16; 3]> {
+        let n = self.points;
+        (n > 0).then(|| self.sums.map(|s| u16::try_from((2 * s + n) / (2 * n)).unwrap_or(u16::MAX)))
+    }
 }
 
 fn sum_of<T: Copy + Into<u64>>(values: &[T], scans: &[ScanId], scan: ScanId, all: bool) -> u64 {

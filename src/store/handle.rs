@@ -45,7 +45,13 @@ pub struct Store {
 }
 
 impl Store {
-    /// Makes an empty store in a file that is not there yet, or is empty.
+    /// Is this file what remains of a store whose making was cut off? It holds nothing, and [`Store::create`] takes it
+    /// over.
+    pub fn is_unfinished(path: impl AsRef<Path>) -> bool {
+        connection::is_unfinished(path.as_ref())
+    }
+
+    /// Makes an empty store in a file that is not there yet, or holds nothing ([`Store::is_unfinished`]).
     ///
     /// # Errors
     ///
@@ -63,17 +69,18 @@ impl Store {
         if path.is_dir() {
             return Err(StoreError::Directory { path: path.into() });
         }
-        if std::fs::metadata(path).is_ok_and(|m| m.len() > 0) {
+        if path.exists() && !Self::is_unfinished(path) {
             return Err(StoreError::AlreadyThere { path: path.into() });
         }
         let _lock = WriterLock::take(path)?;
+        // Again, now that nobody else can be making one: nothing but an empty file is taken over.
+        if Self::is_unfinished(path) {
+            std::fs::remove_file(path).map_err(io)?;
+        }
         match OpenOptions::new().write(true).create_new(true).open(path) {
             Ok(_) => {}
             Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
-                // Again, now that nobody else can be making one: nothing but an empty file is taken over.
-                if std::fs::metadata(path).map_err(io)?.len() > 0 {
-                    return Err(StoreError::AlreadyThere { path: path.into() });
-                }
+                return Err(StoreError::AlreadyThere { path: path.into() });
             }
             Err(e) => return Err(io(e)),
         }

@@ -33,7 +33,7 @@ pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
 pub use decode::{DecodedPart, decode_part};
 pub use digest::{Digest, Digester, digest};
-pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, ScanTable, encode_node};
+pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, encode_node};
 pub use error::StoreError;
 pub use files::{SPILL_SUFFIX, spill_path};
 pub use flip::{Flip, NodeChange};

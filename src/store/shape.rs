@@ -13,43 +13,53 @@ const WINDOW: usize = 16;
 /// Coordinates relative to a cube's low corner, by axis; kept between nodes.
 #[derive(Debug, Default)]
 pub(super) struct Relative {
-    axes: [Vec<u64>; 3],
+    /// Of cubes of exponent at most 21.
+    narrow: [Vec<u32>; 3],
+    /// Of any other.
+    wide: [Vec<u64>; 3],
 }
 
 impl Relative {
     /// Of the points with these keys, which are inside `cube`.
     pub fn fill<K: SortKey>(&mut self, cube: Cube, keys: &[K]) {
-        self.axes.iter_mut().for_each(Vec::clear);
+        self.narrow.iter_mut().for_each(Vec::clear);
+        self.wide.iter_mut().for_each(Vec::clear);
         if cube.k() <= LOW_DIGITS {
             // One axis after the other, so that the compiler takes several keys at a time.
             let inside = cube.side() - 1;
             let flip = PRIORITY_MASK & inside;
-            for (axis, column) in self.axes.iter_mut().enumerate() {
-                column.extend(keys.iter().map(|key| (compact(key.halves().1 >> axis) & inside) ^ flip));
+            for (axis, column) in self.narrow.iter_mut().enumerate() {
+                column.extend(keys.iter().map(|key| ((compact(key.halves().1 >> axis) & inside) ^ flip) as u32));
             }
         } else {
             let low = cube.low().0;
             for key in keys {
                 let (high, rest) = key.halves();
                 let point = Key { high, low: rest }.point().0;
-                self.axes.iter_mut().enumerate().for_each(|(i, column)| column.push(point[i].wrapping_sub(low[i])));
+                self.wide.iter_mut().enumerate().for_each(|(i, column)| column.push(point[i].wrapping_sub(low[i])));
             }
         }
     }
 
+    fn is_narrow(&self) -> bool {
+        self.wide[0].is_empty()
+    }
+
     fn len(&self) -> usize {
-        self.axes[0].len()
+        self.narrow[0].len() + self.wide[0].len()
     }
 
     /// Tight bounds.
     pub fn bounds(&self, cube: Cube) -> Option<LatticeBox> {
         let low = cube.low().0;
         let mut bounds = LatticeBox::of(LatticePoint::default());
-        for (axis, column) in self.axes.iter().enumerate() {
-            let (least, greatest) = column.iter().fold((u64::MAX, 0), |(a, b), &v| (a.min(v), b.max(v)));
-            if column.is_empty() {
-                return None;
-            }
+        for axis in 0..3 {
+            let (least, greatest) = if self.is_narrow() {
+                let (least, greatest) = extremes(&self.narrow[axis], u32::MAX)?;
+                (u64::from(least), u64::from(greatest))
+            } else {
+                extremes(&self.wide[axis], u64::MAX)?
+            };
             bounds.min.0[axis] = low[axis].saturating_add(least);
             bounds.max.0[axis] = low[axis].saturating_add(greatest);
         }
@@ -57,13 +67,12 @@ impl Relative {
     }
 
     /// Everything but the colour.
-    pub fn shape(&self, cube: Cube) -> Shape {
+    pub fn shape(&self) -> Shape {
         let n = self.len();
         if n == 0 {
             return Shape::default();
         }
-        let narrow = cube.k() <= LOW_DIGITS && n < 1 << 22;
-        let Sums { one, two } = if narrow { self.narrow_sums() } else { self.wide_sums() };
+        let Sums { one, two } = self.sums();
         let count = n as f64;
         let mean = one.map(|s| s as f64 / count);
         // Exactly about the nearest lattice point to the mean, so that nothing cancels; the rest, below half a step, in
@@ -79,36 +88,55 @@ impl Relative {
         Shape { spacing: self.spacing(), mean, moments, radius: self.radius(mean), color: None }
     }
 
-    /// Sums of coordinates and of products that fit 64 bits: up to 2^22 points of 21 bits.
-    fn narrow_sums(&self) -> Sums {
-        let sum = |v: &[u64]| i128::from(v.iter().sum::<u64>());
-        let product = |a: &[u64], b: &[u64]| {
-            // Below 2^21, so that a product of the low halves is enough.
-            i128::from(a.iter().zip(b).map(|(&a, &b)| u64::from(a as u32) * u64::from(b as u32)).sum::<u64>())
-        };
-        Sums {
-            one: std::array::from_fn(|i| sum(&self.axes[i])),
-            two: PAIRS.map(|(i, j)| product(&self.axes[i], &self.axes[j])),
+    fn sums(&self) -> Sums {
+        if !self.is_narrow() {
+            let wide = |v: u64| i128::from(v);
+            let axes = &self.wide;
+            return Sums {
+                one: std::array::from_fn(|i| axes[i].iter().map(|&v| wide(v)).sum()),
+                two: PAIRS.map(|(i, j)| axes[i].iter().zip(&axes[j]).map(|(&a, &b)| wide(a) * wide(b)).sum()),
+            };
         }
-    }
-
-    fn wide_sums(&self) -> Sums {
-        let wide = |v: u64| i128::from(v);
+        // Coordinates are below 2^21: 2^22 of their products fit 64 bits.
+        const RUN: usize = 1 << 22;
+        let sum = |v: &[u32]| i128::from(v.iter().map(|&v| u64::from(v)).sum::<u64>());
+        let product = |(a, b): (&[u32], &[u32])| {
+            i128::from(a.iter().zip(b).map(|(&a, &b)| u64::from(a) * u64::from(b)).sum::<u64>())
+        };
+        let axes = &self.narrow;
         Sums {
-            one: std::array::from_fn(|i| self.axes[i].iter().map(|&v| wide(v)).sum()),
-            two: PAIRS.map(|(i, j)| self.axes[i].iter().zip(&self.axes[j]).map(|(&a, &b)| wide(a) * wide(b)).sum()),
+            one: std::array::from_fn(|i| axes[i].chunks(RUN).map(sum).sum()),
+            two: PAIRS.map(|(i, j)| axes[i].chunks(RUN).zip(axes[j].chunks(RUN)).map(product).sum()),
         }
     }
 
     fn point(&self, i: usize) -> [f64; 3] {
         // Below 2^48: exact, and signed conversions are cheaper.
-        std::array::from_fn(|axis| self.axes[axis][i] as i64 as f64)
+        if self.is_narrow() {
+            std::array::from_fn(|axis| f64::from(self.narrow[axis][i] as i32))
+        } else {
+            std::array::from_fn(|axis| self.wide[axis][i] as i64 as f64)
+        }
     }
 
     /// The largest distance from `mean`, rounded up.
     fn radius(&self, mean: [f64; 3]) -> f64 {
-        let squares = (0..self.len()).map(|i| square(self.point(i), mean));
-        squares.fold(0.0, f64::max).sqrt() * (1.0 + 4.0 * f64::EPSILON)
+        let largest = if self.is_narrow() {
+            // In lanes, since a maximum of floats that waits for the one before it is slow.
+            const LANES: usize = 8;
+            let mut largest = [0.0_f64; LANES];
+            let [x, y, z] = self.narrow.each_ref().map(|axis| axis.chunks(LANES));
+            for ((x, y), z) in x.zip(y).zip(z) {
+                for (largest, ((&x, &y), &z)) in largest.iter_mut().zip(x.iter().zip(y).zip(z)) {
+                    let square = square([x, y, z].map(|v| f64::from(v as i32)), mean);
+                    *largest = if square > *largest { square } else { *largest };
+                }
+            }
+            largest.into_iter().fold(0.0, f64::max)
+        } else {
+            (0..self.len()).map(|i| square(self.point(i), mean)).fold(0.0, f64::max)
+        };
+        largest.sqrt() * (1.0 + 4.0 * f64::EPSILON)
     }
 
     /// The mean distance to the nearest neighbour, over a sample that is even in key order, each against its neighbours
@@ -126,6 +154,12 @@ impl Relative {
         };
         (0..samples).map(|s| nearest(s * n / samples)).sum::<f64>() / samples as f64
     }
+}
+
+/// The least and the greatest; `most` is the type's greatest value.
+fn extremes<T: Copy + Ord + Default>(values: &[T], most: T) -> Option<(T, T)> {
+    let both = values.iter().fold((most, T::default()), |(low, high), &v| (low.min(v), high.max(v)));
+    (!values.is_empty()).then_some(both)
 }
 
 /// Sums over points of coordinates, and of products of coordinates.
@@ -182,17 +216,20 @@ mod tests {
             relative.fill(cube, &keys);
             let low = cube.low().0;
             for (i, p) in points.iter().enumerate() {
-                prop_assert_eq!(std::array::from_fn(|a| relative.axes[a][i]), [0, 1, 2].map(|a| p.0[a] - low[a]));
+                prop_assert_eq!(relative.point(i), [0, 1, 2].map(|a| (p.0[a] - low[a]) as f64));
             }
             let naive = points.iter().fold(LatticeBox::of(points[0]), |b, p| b.with(*p));
             prop_assert_eq!(relative.bounds(cube), Some(naive));
-            let shape = relative.shape(cube);
+            let shape = relative.shape();
             if cube.k() <= LOW_DIGITS {
                 let low_keys: Vec<_> = points.iter().map(|p| p.low_key()).collect();
                 let mut other = Relative::default();
                 other.fill(cube, &low_keys);
-                prop_assert_eq!(other.shape(cube), shape);
-                prop_assert_eq!(relative.narrow_sums().two, relative.wide_sums().two);
+                prop_assert_eq!(other.shape(), shape);
+                let mut other = Relative::default();
+                other.wide = relative.narrow.each_ref().map(|axis| axis.iter().map(|&v| v.into()).collect());
+                prop_assert_eq!(relative.sums().two, other.sums().two);
+                prop_assert_eq!((other.shape(), other.bounds(cube)), (shape, relative.bounds(cube)));
             }
             let side = cube.side() as f64;
             let n = points.len() as f64;
@@ -218,9 +255,9 @@ mod tests {
         keys.sort_unstable();
         let mut relative = Relative::default();
         relative.fill(cube, &keys);
-        let spacing = relative.shape(cube).spacing;
+        let spacing = relative.shape().spacing;
         assert!((4.0..4.2).contains(&spacing), "{spacing}");
         relative.fill(cube, &keys[..1]);
-        assert_eq!(relative.shape(cube).spacing, 0.0);
+        assert_eq!(relative.shape().spacing, 0.0);
     }
 }

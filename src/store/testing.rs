@@ -112,18 +112,24 @@ pub fn prepare(writer: &mut Writer, mut points: Vec<Point>, before: &[Scan]) -> 
         assemble::build_bucket(root, &keys, &wins, assemble::Place::Root, PARAMS, |node| {
             let pick = |i: &u32| points[*i as usize];
             let own: Vec<Point> = node.points.iter().map(pick).collect();
+            let keys: Vec<Key> = own.iter().map(|p| p.key).collect();
+            let wins: Vec<i8> = node.points.iter().map(|&i| wins[i as usize]).collect();
+            let columns = PointColumns {
+                scans: own.iter().map(|p| p.scan).collect(),
+                columns: vec![
+                    (slots[0], Column::U16(own.iter().map(|p| p.intensity).collect())),
+                    (slots[1], Column::F64(own.iter().map(|p| f64::from_bits(p.time)).collect())),
+                ],
+            };
+            let plan = octree::split(&wins, &octree::steps(&keys, &wins));
             let input = NodeInput {
                 layer: 0,
                 cube: node.cube,
                 leaf: node.leaf,
                 children: node.children,
-                keys: &own.iter().map(|p| p.key).collect::<Vec<_>>(),
-                wins: &node.points.iter().map(|&i| wins[i as usize]).collect::<Vec<_>>(),
-                scans: &own.iter().map(|p| p.scan).collect::<Vec<_>>(),
-                columns: &[
-                    (slots[1], Column::F64(own.iter().map(|p| f64::from_bits(p.time)).collect())),
-                    (slots[0], Column::U16(own.iter().map(|p| p.intensity).collect())),
-                ],
+                keys: &keys,
+                plan: &plan,
+                parts: &columns.cut(&plan),
             };
             let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
             writer.put_chunks(&chunks).unwrap();

@@ -239,10 +239,7 @@ fn a_place_that_cannot_be_written_is_named() {
 #[test]
 fn a_full_disk_leaves_the_store_as_it_was() {
     let place = Place::new();
-    let shim = place.path("full_disk.so");
-    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shim/full_disk.c");
-    let compiled = Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o", &shim, source, "-ldl"]).status().unwrap();
-    assert!(compiled.success());
+    let shim = crate::faults::shim(place.folder.path());
     let store = place.store(20_000);
     let before = esker_ok(&["digest", &store]);
     esker_ok(&["generate", "spheres", "--points", "200000", "-o", &place.path("more.las")]);
@@ -250,8 +247,8 @@ fn a_full_disk_leaves_the_store_as_it_was() {
         let output = Command::new(env!("CARGO_BIN_EXE_esker"))
             .args(["ingest", &store, &place.path("more.las")])
             .env("LD_PRELOAD", &shim)
-            .env("ESKER_TEST_DISK_PATH", "torus.esker")
-            .env("ESKER_TEST_DISK_BYTES", bytes)
+            .env("ESKER_TEST_PATH", "torus.esker")
+            .env("ESKER_TEST_FAULT", format!("full:{bytes}"))
             .output()
             .unwrap();
         let stderr = String::from_utf8_lossy(&output.stderr);

@@ -33,6 +33,7 @@ const OWNERS: &[(&str, &[&str])] = &[
     ("wgpu", &["render"]),
     ("las", &["formats"]),
     ("laz", &["formats"]),
+    ("e57", &["formats"]),
     ("png", &["render"]),
     ("clap", &["cli"]),
     ("anyhow", &["cli"]),

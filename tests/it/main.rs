@@ -3,10 +3,14 @@
 mod answers;
 mod bad_input;
 mod canonical;
+mod changes;
+mod faults;
 mod fidelity;
 mod floors;
 mod histories;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;
+mod poses;
+mod readers;
 mod support;

@@ -86,24 +86,14 @@ impl LasSource {
             .filter(|l| l.stride() == header.record_bytes)
             .ok_or_else(|| file.malformed(104, "a point format that agrees with its record length", "neither"))?;
         let info = SourceInfo {
-            path: file.path().to_owned(),
-            index: 0,
-            format,
-            records: found,
-            missing,
             grid: Some(header.grid),
             bounds_hint: header.bounds_hint(),
-            layout,
             crs,
             las: Some(facts),
             warnings,
+            ..SourceInfo::new(file.path(), format, found, missing, layout)
         };
         Ok(Self { file, info, points })
-    }
-
-    /// Adds to what a user should know.
-    pub(in crate::formats) fn warn(&mut self, warning: Option<String>) {
-        self.info.warnings.extend(warning);
     }
 
     fn read_plain(&self, start: u64, piece: Piece, sink: &mut dyn FnMut(&[u8]) -> bool) -> Result<Tally, FormatError> {
@@ -132,6 +122,10 @@ impl LasSource {
 impl PointSource for LasSource {
     fn info(&self) -> &SourceInfo {
         &self.info
+    }
+
+    fn warn(&mut self, warning: String) {
+        self.info.warnings.push(warning);
     }
 
     fn pieces(&self, target_records: u64) -> Vec<Piece> {

@@ -3,6 +3,7 @@
 use crate::formats::FormatError;
 use crate::formats::file::SourceFile;
 use crate::formats::las::quoted;
+use crate::formats::text::odd_float;
 use crate::points::ScalarType;
 
 /// Bytes read at a time.
@@ -136,22 +137,6 @@ fn parse(word: &[u8], ty: ScalarType) -> Option<[u8; 8]> {
         }
     }
     Some(raw)
-}
-
-/// What C libraries print for what is no number: `-nan(ind)`, `1.#INF`, `-1.#IND`.
-fn odd_float(text: &str) -> Option<f64> {
-    let lower = text.to_ascii_lowercase();
-    let (sign, rest) = match lower.strip_prefix('-') {
-        Some(rest) => (-1.0, rest),
-        None => (1.0, &*lower),
-    };
-    if rest.starts_with("1.#inf") {
-        Some(sign * f64::INFINITY)
-    } else if rest.starts_with("nan(") || rest.starts_with("1.#") {
-        Some(f64::NAN)
-    } else {
-        None
-    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! From the properties of a vertex to the layout of a record.
 
 use super::header::{Element, Kind};
-use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout, ScalarType, canonical_name, same_name};
+use crate::formats::names::{attribute_name, unique};
+use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout};
 use std::collections::HashSet;
 
 /// Where a property's value goes.
@@ -43,30 +44,4 @@ pub fn record_layout(vertex: &Element) -> Option<(RecordLayout, Vec<Target>)> {
         end += ty.size();
     }
     Some((RecordLayout::new(PositionKind::World, end - start, fields), targets))
-}
-
-/// PDAL's name where the property is that, by its name and, for colours, its type.
-fn attribute_name(name: &str, ty: ScalarType) -> String {
-    let colour = |canonical: &str, old: &str| {
-        let named = same_name(name, canonical) || name == old;
-        (named && matches!(ty, ScalarType::U8 | ScalarType::U16)).then(|| canonical.to_owned())
-    };
-    let colours = [("Red", "diffuse_red"), ("Green", "diffuse_green"), ("Blue", "diffuse_blue")];
-    if let Some(name) = colours.iter().find_map(|(canonical, old)| colour(canonical, old)) {
-        return name;
-    }
-    let normals = [("nx", "NormalX"), ("ny", "NormalY"), ("nz", "NormalZ")];
-    if let Some((_, canonical)) = normals.iter().find(|(short, _)| *short == name) {
-        return (*canonical).to_owned();
-    }
-    // Not by synonyms: `time` or `class` may mean anything. And colours of other types are no LAS colours.
-    let canonical = canonical_name(name).filter(|c| same_name(c, name) && !colours.iter().any(|(c2, _)| c == c2));
-    canonical.map_or_else(|| name.to_owned(), str::to_owned)
-}
-
-/// `name`, or else the source's name, or that with a number: none that has been taken with this type.
-fn unique(name: String, source: &str, ty: ScalarType, taken: &mut HashSet<(String, ScalarType)>) -> String {
-    let numbered = (2..).map(|n: u64| format!("{source}.{n}"));
-    let mut free = [name, source.to_owned()].into_iter().chain(numbered).filter(|n| taken.insert((n.clone(), ty)));
-    free.next().unwrap_or_default()
 }

@@ -8,4 +8,7 @@ mod source;
 #[cfg(test)]
 mod tests;
 
+pub(super) use binary::Conversion;
+pub(super) use header::{Element, Encoding, Kind, Property};
+pub(super) use layout::Target;
 pub use source::PlySource;

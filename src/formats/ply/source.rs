@@ -75,25 +75,8 @@ impl PlySource {
         if found < element.count {
             warnings.push(format!("the header announces {} vertices, the file holds at most {found}", element.count));
         }
-        let info = SourceInfo {
-            path: file.path().to_owned(),
-            index: 0,
-            format: "ply",
-            records: found,
-            missing: element.count - found,
-            grid: None,
-            bounds_hint: None,
-            layout,
-            crs: None,
-            las: None,
-            warnings,
-        };
+        let info = SourceInfo { warnings, ..SourceInfo::new(file.path(), "ply", found, element.count - found, layout) };
         Ok(Self { file, info, header, vertex, targets, records })
-    }
-
-    /// Adds to what a user should know.
-    pub(in crate::formats) fn warn(&mut self, warning: Option<String>) {
-        self.info.warnings.extend(warning);
     }
 
     fn element(&self) -> &Element {
@@ -226,6 +209,10 @@ impl PlySource {
 impl PointSource for PlySource {
     fn info(&self) -> &SourceInfo {
         &self.info
+    }
+
+    fn warn(&mut self, warning: String) {
+        self.info.warnings.push(warning);
     }
 
     fn pieces(&self, target_records: u64) -> Vec<Piece> {

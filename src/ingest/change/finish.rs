@@ -5,7 +5,7 @@ use super::super::gather::Scratch;
 use super::nodes::{Change, Own, Stored};
 use super::{Ground, Point, gathered};
 use crate::lattice::{Cube, Key, LOW_DIGITS, NodeKey};
-use crate::octree::{Nodes, Tree, TreePoint, wins};
+use crate::octree::{self, Nodes, Tree, TreePoint, wins};
 use crate::store::model::{NodeHead, Zones};
 use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, Summary, Writer, encode_node, merge_subtree};
 use rayon::prelude::*;
@@ -205,16 +205,17 @@ fn encode(
     (scratch, gather): &mut (EncodeScratch, Scratch),
 ) -> Result<EncodedNode, IngestError> {
     let Job { cube, leaf, children, points, ref wins } = *job;
-    let columns = gathered(ground.scans, points, gather);
-    let (scans, columns) = (&columns.scans[..], &columns.columns[..]);
     let failed = |e| IngestError::Internal(format!("node {cube:?}: {e}"));
+    let keys: Vec<Key> = points.iter().map(TreePoint::key).collect();
+    let plan = octree::split(wins, &octree::steps(&keys, wins));
+    let parts: Vec<_> = plan.iter().map(|part| gathered(ground.scans, points, &part.points, gather)).collect();
+    let (plan, parts) = (&plan[..], &parts[..]);
     if cube.k() <= LOW_DIGITS {
-        let keys: Vec<u64> = points.iter().map(|p| p.key.low).collect();
-        let input = NodeInput { layer, cube, leaf, children, keys: &keys, wins, scans, columns };
+        let keys: Vec<u64> = keys.iter().map(|key| key.low).collect();
+        let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
         encode_node(&input, ground.table, ids, scratch).map_err(failed)
     } else {
-        let keys: Vec<Key> = points.iter().map(TreePoint::key).collect();
-        let input = NodeInput { layer, cube, leaf, children, keys: &keys, wins, scans, columns };
+        let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
         encode_node(&input, ground.table, ids, scratch).map_err(failed)
     }
 }

@@ -1,11 +1,12 @@
 //! A point on its way through a changing tree: its key, its record, its scan.
 
 use super::super::IngestError;
-use super::super::gather::{NodeColumns, ScanColumns, Scratch, gather};
+use super::super::gather::{ScanColumns, Scratch, gather};
 use super::super::partition::{Bucket, Place, Segment};
 use super::super::rows::RowKey;
 use crate::lattice::{Cube, Key};
 use crate::octree::TreePoint;
+use crate::store::PointColumns;
 use crate::store::model::ScanId;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -51,9 +52,17 @@ impl<'a> ScanOrder<'a> {
     }
 }
 
-/// The columns of points, for a node's encoder.
-pub(in super::super) fn gathered(scans: &ScanOrder<'_>, points: &[Point<'_>], scratch: &mut Scratch) -> NodeColumns {
-    gather(scans.all(), points.iter().map(|p| (p.scan, p.record)), scratch)
+/// The columns of points, for a part's encoder: of those with these indices, in that order.
+pub(in super::super) fn gathered(
+    scans: &ScanOrder<'_>,
+    points: &[Point<'_>],
+    picked: &[u32],
+    scratch: &mut Scratch,
+) -> PointColumns {
+    let mut columns = PointColumns::default();
+    let row = |i: u32| (points[i as usize].scan, points[i as usize].record);
+    gather(scans.all(), picked, row, scratch, &mut columns);
+    columns
 }
 
 /// Rows that were read from sources, as canonical records; they own what [`Point`]s borrow.
@@ -112,9 +121,10 @@ impl Run {
         let layout = &source.plan.layout;
         let record_bytes = layout.attributes.iter().map(|a| a.ty.size()).sum();
         let rows = segment.rows as usize;
+        let first = cube.first_key();
         let (mut keys, mut records) = (Vec::with_capacity(rows), Vec::with_capacity(rows * record_bytes));
         for row in bytes.chunks_exact(K::BYTES + layout.payload) {
-            keys.push(K::read(row).full(cube));
+            keys.push(K::read(row).full(first));
             layout.canonical_bytes(&row[K::BYTES..], &mut records);
         }
         Ok(Self { scan, keys, records, record_bytes })

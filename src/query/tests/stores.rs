@@ -1,12 +1,12 @@
 //! Stores built from the naive tree, and points that know who they are.
 
 use crate::lattice::{BIAS, Cube, Exactness, Key, Lattice, LatticeBox, LatticePoint};
-use crate::octree::{Params, naive, wins};
+use crate::octree::{Params, naive, split, steps, wins};
 use crate::points::{Attribute, Column, ScalarType};
 use crate::store::model::{Rejected, Scan, ScanId, Slot};
 use crate::store::{
-    EncodeScratch, EncodedNode, Flip, NodeChange, NodeInput, ScanTable, SiteOptions, Snapshot, Store, Summary,
-    encode_node, merge_subtree,
+    EncodeScratch, EncodedNode, Flip, NodeChange, NodeInput, PointColumns, ScanTable, SiteOptions, Snapshot, Store,
+    Summary, encode_node, merge_subtree,
 };
 use proptest::prelude::*;
 use std::collections::HashMap;
@@ -99,15 +99,16 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
     let mut writer = store.writer().unwrap();
     let attributes = [
         Attribute::new("Classification", ScalarType::U8),
+        Attribute::new("code", ScalarType::U32),
+        // Before the height by name: of points on one position the number decides, as in the order of `Point`.
         Attribute::new("height", ScalarType::I16),
-        Attribute::new("id", ScalarType::U32),
     ];
     let slots = writer.add_attributes(&attributes).unwrap();
-    let &[class, height, id] = slots.as_slice() else { panic!("three attributes") };
+    let &[class, id, height] = slots.as_slice() else { panic!("three attributes") };
     assert_eq!((writer.reserve_scan(), writer.reserve_scan()), (1, 2));
     let mut table = ScanTable::new(writer.attributes());
     table.insert(1, &[class, id], None);
-    table.insert(2, &[class, height, id], None);
+    table.insert(2, &[class, id, height], None);
     let ids = writer.chunk_ids();
     let mut scratch = EncodeScratch::default();
     let (mut nodes, mut roots) = (Vec::new(), Vec::new());
@@ -127,15 +128,18 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
                 .fold(0, |m, o| m | 1 << o);
             let keys: Vec<Key> = own.iter().map(|p| p.key).collect();
             let wins: Vec<i8> = own.iter().map(|p| win_of[&p.id]).collect();
-            let scans: Vec<ScanId> = own.iter().map(|p| p.scan).collect();
-            let columns = [
-                (class, Column::U8(own.iter().map(|p| p.class).collect())),
-                (height, Column::I16(own.iter().map(|p| p.height.unwrap_or(0)).collect())),
-                (id, Column::U32(own.iter().map(|p| p.id).collect())),
-            ];
+            let columns = PointColumns {
+                scans: own.iter().map(|p| p.scan).collect(),
+                columns: vec![
+                    (class, Column::U8(own.iter().map(|p| p.class).collect())),
+                    (height, Column::I16(own.iter().map(|p| p.height.unwrap_or(0)).collect())),
+                    (id, Column::U32(own.iter().map(|p| p.id).collect())),
+                ],
+            };
             let layer = layer as u16;
-            let input =
-                NodeInput { layer, cube, leaf, children, keys: &keys, wins: &wins, scans: &scans, columns: &columns };
+            let plan = split(&wins, &steps(&keys, &wins));
+            let parts = columns.cut(&plan);
+            let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, parts: &parts };
             let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
             summaries.insert(cube, merge_subtree(&mut head, &mut zones, &below));
             writer.put_chunks(&chunks).unwrap();
@@ -148,7 +152,7 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
     let flip = Flip {
         scans_added: vec![
             scan(1, "north", vec![class, id], hidden != Some(1), &points),
-            scan(2, "roof", vec![class, height, id], hidden != Some(2), &points),
+            scan(2, "roof", vec![class, id, height], hidden != Some(2), &points),
         ],
         roots: Some(roots),
         nodes: NodeChange::ReplaceAll(nodes),

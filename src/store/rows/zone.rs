@@ -151,13 +151,13 @@ mod tests {
             prop_assert!(take.end().is_ok());
             if let Ok(found) = take_all(&mut Take(&noise)) {
                 for (_, range) in found.own {
-                    let ordered = match range {
+                    let in_order = match range {
                         Range::OnlyNan => true,
                         Range::Unsigned(a, b) => a <= b,
                         Range::Signed(a, b) => a <= b,
                         Range::Float(a, b) => a <= b,
                     };
-                    prop_assert!(ordered);
+                    prop_assert!(in_order);
                 }
             }
         }

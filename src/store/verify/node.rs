@@ -1,8 +1,8 @@
 //! One node: its chunks decode, and its row and zone maps say of its points what is true.
 
 use super::super::decode::{DecodedPart, decode_part};
-use super::super::encode::{Description, NodeInput, ScanTable, describe};
-use super::super::model::{FIRST_ATTRIBUTE, NodeHead, ScanId, Slot, Zones};
+use super::super::encode::{ColumnSlices, Description, ScanTable, describe};
+use super::super::model::{NodeHead, ScanId, Slot, Zones};
 use super::super::rows;
 use super::super::shape::Relative;
 use super::super::snapshot::Snapshot;
@@ -10,7 +10,6 @@ use super::{Finding, finding};
 use crate::codec::{BLOCK_POINTS, Decoder};
 use crate::lattice::{Key, LatticeBox};
 use crate::octree::Params;
-use crate::points::Column;
 use std::collections::BTreeMap;
 
 /// What was found of one node.
@@ -69,7 +68,7 @@ impl<'a> Checker<'a> {
             Err(e) => tally.findings.push(finding(e)),
         }
         if parts.len() == head.parts.len() {
-            let description = self.describe(head, parts, scratch);
+            let description = self.describe(head, &parts, scratch);
             let what = differences(head, tally.zones.as_ref(), &description);
             tally.findings.extend(what.map(|(table, what)| wrong(table, what.into())));
         }
@@ -112,40 +111,12 @@ impl<'a> Checker<'a> {
         None
     }
 
-    /// What the row and the zone maps should say, from the points in key order.
-    fn describe(&self, head: &NodeHead, parts: Vec<DecodedPart>, scratch: &mut Scratch) -> Description {
-        let keys: Vec<Key> = parts.iter().flat_map(|p| p.keys.iter().copied()).collect();
-        let mut order: Vec<u32> = (0..keys.len() as u32).collect();
-        order.sort_by_key(|&i| keys[i as usize]);
-        let scans: Vec<ScanId> = parts.iter().flat_map(|p| p.scans.iter().copied()).collect();
-        let mut columns = Vec::new();
-        for stored in self.snapshot.attributes() {
-            let of = |p: &DecodedPart| p.columns.iter().position(|c| c.0 == stored.id);
-            if stored.id < FIRST_ATTRIBUTE || !parts.iter().any(|p| of(p).is_some()) {
-                continue;
-            }
-            let mut all = Column::with_capacity(stored.attribute.ty, keys.len());
-            for part in &parts {
-                match of(part) {
-                    Some(i) => all.append(&part.columns[i].1),
-                    None => all.resize(all.len() + part.keys.len()),
-                }
-            }
-            let mut sorted = Column::with_capacity(stored.attribute.ty, keys.len());
-            sorted.extend_gathered(&all, &order);
-            columns.push((stored.id, sorted));
-        }
-        let input = NodeInput {
-            layer: head.layer,
-            cube: head.cube,
-            leaf: head.leaf,
-            children: head.children,
-            keys: &order.iter().map(|&i| keys[i as usize]).collect::<Vec<_>>(),
-            wins: &[],
-            scans: &order.iter().map(|&i| scans[i as usize]).collect::<Vec<_>>(),
-            columns: &columns,
-        };
-        describe(&input, &self.table, &mut scratch.relative)
+    /// What the row and the zone maps should say.
+    fn describe(&self, head: &NodeHead, parts: &[DecodedPart], scratch: &mut Scratch) -> Description {
+        let mut keys: Vec<Key> = parts.iter().flat_map(|p| p.keys.iter().copied()).collect();
+        keys.sort();
+        let slices: Vec<_> = parts.iter().map(|p| ColumnSlices { scans: &p.scans, columns: &p.columns }).collect();
+        describe(head.cube, &keys, &slices, &self.table, &mut scratch.relative)
     }
 }
 

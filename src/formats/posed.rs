@@ -1,0 +1,81 @@
+//! A source whose points are moved to the world by a pose, in f64.
+
+use super::{FormatError, Piece, PointSource, SourceInfo, Tally};
+use crate::geometry::{Pose, PoseError};
+use crate::points::{PositionKind, RecordLayout};
+
+/// `source`, whose own pose its info names but its positions do not have yet, placed by it and then by `given`.
+///
+/// # Errors
+///
+/// [`PoseError`] if the two poses together leave the range of f64.
+pub(super) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dyn PointSource>, PoseError> {
+    let mut info = source.info().clone();
+    let pose = given.after(&info.pose)?;
+    if pose.is_identity() {
+        return Ok(source);
+    }
+    let scale = info.las.as_ref().map(|l| (l.scale, l.offset));
+    let grid = info.grid.map(|g| scale.unwrap_or((g.scale.map(|d| d.to_f64()), g.offset.map(|d| d.to_f64()))));
+    // The grid belongs to another frame.
+    info.grid = None;
+    info.pose = pose;
+    let hint = |(min, max): ([f64; 3], [f64; 3])| pose.world_bounds(min, max);
+    info.bounds_hint = info.bounds_hint.map(hint).filter(|(a, b)| a.iter().chain(b).all(|v| v.is_finite()));
+    info.layout = RecordLayout { position: PositionKind::World, ..info.layout };
+    Ok(Box::new(Posed { source, info, grid }))
+}
+
+struct Posed {
+    source: Box<dyn PointSource>,
+    info: SourceInfo,
+    /// Scale and offset of the source's own grid, if it has one.
+    grid: Option<([f64; 3], [f64; 3])>,
+}
+
+impl Posed {
+    /// The position at the start of a record, in the scan's frame.
+    fn position(&self, record: &[u8]) -> [f64; 3] {
+        match self.grid {
+            Some((scale, offset)) => std::array::from_fn(|i| {
+                let mut raw = [0; 4];
+                raw.copy_from_slice(&record[4 * i..4 * i + 4]);
+                f64::from(i32::from_le_bytes(raw)) * scale[i] + offset[i]
+            }),
+            None => std::array::from_fn(|i| {
+                let mut raw = [0; 8];
+                raw.copy_from_slice(&record[8 * i..8 * i + 8]);
+                f64::from_le_bytes(raw)
+            }),
+        }
+    }
+}
+
+impl PointSource for Posed {
+    fn info(&self) -> &SourceInfo {
+        &self.info
+    }
+
+    fn warn(&mut self, warning: String) {
+        self.info.warnings.push(warning);
+    }
+
+    fn pieces(&self, target_records: u64) -> Vec<Piece> {
+        self.source.pieces(target_records)
+    }
+
+    fn read(&self, piece: Piece, sink: &mut dyn FnMut(&[u8]) -> bool) -> Result<Tally, FormatError> {
+        let head = if self.grid.is_some() { PositionKind::Grid.size() } else { PositionKind::World.size() };
+        let payload = self.info.layout.payload;
+        let mut placed = Vec::new();
+        self.source.read(piece, &mut |run| {
+            placed.clear();
+            for record in run.chunks_exact(head + payload) {
+                let world = self.info.pose.world_from_scan(self.position(record));
+                world.iter().for_each(|v| placed.extend_from_slice(&v.to_le_bytes()));
+                placed.extend_from_slice(&record[head..]);
+            }
+            sink(&placed)
+        })
+    }
+}

@@ -1,0 +1,184 @@
+//! Text files opened: where the rows are, what the columns are called.
+
+use super::columns::{Role, axes, guess, named, roles};
+use super::lines::Lines;
+use super::sections::{Section, pts, ptx};
+use super::shape::{HEAD_BYTES, names, row};
+use super::source::{Rows, TextSource};
+use super::survey::{Place, Survey, first_row, survey};
+use super::words::{Separator, is_comment};
+use crate::formats::file::SourceFile;
+use crate::formats::las::quoted;
+use crate::formats::{FormatError, PointSource};
+use std::sync::Arc;
+
+type Sources = Result<Vec<Box<dyn PointSource>>, FormatError>;
+
+/// Opens rows with or without a line of names; `columns` are the user's names.
+///
+/// # Errors
+///
+/// [`FormatError::Malformed`] for a row without coordinates, or names without x, y and z; [`FormatError::Unsupported`] for
+/// texts in UTF-16 or with lone carriage returns.
+pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
+    let file = Arc::new(file);
+    let start = text_start(&file)?;
+    let mut lines = Lines::new(&file, start, file.bytes());
+    let mut header: Option<Vec<String>> = None;
+    let mut begin = start;
+    let mut separator = Separator::Blank;
+    while let Some(line) = lines.next()? {
+        let (bytes, offset) = (line.bytes, line.offset);
+        if bytes.trim_ascii().is_empty() {
+            continue;
+        }
+        let own = names(bytes).filter(|n| axes(&roles(n)).is_some());
+        if is_comment(bytes) {
+            // The last remark that names x, y and z is the header.
+            header = own.or(header);
+            continue;
+        }
+        let numbers = match (row(bytes), columns) {
+            (Some(found), _) => Some(found),
+            // Where the user says what is what, coordinates need not come first.
+            (None, Some(columns)) => {
+                let found = Separator::of(bytes);
+                let comma = found == Separator::Byte(b';');
+                let place = axes(&roles(columns)).unwrap_or([0, 1, 2]);
+                let words: Vec<_> = found.words(bytes).collect();
+                let number = |&i: &usize| words.get(i).is_some_and(|w| super::number::parse(w, comma).is_some());
+                place.iter().all(number).then_some(found)
+            }
+            (None, None) => None,
+        };
+        if let Some(found) = numbers {
+            (separator, begin) = (found, offset);
+            break;
+        }
+        let named_axes = own.is_some() || columns.is_some();
+        if header.is_some() || !named_axes {
+            let shown = quoted(&bytes.trim_ascii()[..bytes.trim_ascii().len().min(60)]);
+            let expected = "a row of numbers, or a line that names x, y and z (--columns names them otherwise)";
+            return Err(file.malformed(offset, expected, shown));
+        }
+        header = own.or_else(|| names(bytes)).or(Some(Vec::new()));
+        begin = lines.offset();
+    }
+    let mut options = String::new();
+    let chosen: Option<Vec<Role>> = match (columns, &header) {
+        (Some(columns), _) => {
+            options = format!("columns {}", columns.join(","));
+            Some(roles(columns))
+        }
+        (None, Some(header)) => Some(roles(header)),
+        (None, None) => None,
+    };
+    let place = Place {
+        start: begin,
+        end: file.bytes(),
+        separator,
+        comma: separator == Separator::Byte(b';'),
+        axes: chosen.as_deref().and_then(axes).unwrap_or([0, 1, 2]),
+        zero_is_nothing: false,
+    };
+    let survey = survey(&file, &place)?;
+    let roles = chosen.clone().unwrap_or_else(|| guess(&survey.columns));
+    let guessed = (chosen.is_none() && roles.len() > 3).then(|| understood(&roles));
+    let rows = Rows { file, format: "text", place, survey, announced: None };
+    let mut source = TextSource::new(rows, &roles, false);
+    source.info.options = options;
+    source.info.warnings.extend(guessed);
+    Ok(vec![Box::new(source)])
+}
+
+/// Opens a PTS file: every block is a source.
+///
+/// # Errors
+///
+/// As [`open_rows`].
+pub fn open_pts(file: SourceFile, columns: Option<&[String]>) -> Sources {
+    let file = Arc::new(file);
+    let sections = pts(&file, text_start(&file)?)?;
+    blocks(&file, "pts", &sections, columns)
+}
+
+/// Opens a PTX file: every block is a source, with the pose that its transform says.
+///
+/// # Errors
+///
+/// As [`open_rows`]; [`FormatError::Malformed`] for a block's header that is cut or has no transform.
+pub fn open_ptx(file: SourceFile, columns: Option<&[String]>) -> Sources {
+    let file = Arc::new(file);
+    let sections = ptx(&file, text_start(&file)?)?;
+    if sections.is_empty() {
+        return Err(file.malformed(0, "a block of points", "none"));
+    }
+    blocks(&file, "ptx", &sections, columns)
+}
+
+fn blocks(file: &Arc<SourceFile>, format: &'static str, sections: &[Section], columns: Option<&[String]>) -> Sources {
+    let mut sources: Vec<Box<dyn PointSource>> = Vec::new();
+    for (index, section) in (0..).zip(sections) {
+        let chosen = columns.map(roles);
+        let place = Place {
+            start: section.start,
+            end: section.end,
+            separator: first_row(file, section.start, section.end)?.unwrap_or(Separator::Blank),
+            comma: false,
+            axes: chosen.as_deref().and_then(axes).unwrap_or([0, 1, 2]),
+            zero_is_nothing: format == "ptx",
+        };
+        let survey = survey(file, &place)?;
+        let roles = chosen.unwrap_or_else(|| block_columns(&survey));
+        let nothing = survey.nothing;
+        let rows = Rows { file: file.clone(), format, place, survey, announced: section.announced };
+        let mut source = TextSource::new(rows, &roles, !section.pose.is_identity());
+        source.info.index = index;
+        source.info.pose = section.pose;
+        if let Some(columns) = columns {
+            source.info.options = format!("columns {}", columns.join(","));
+        }
+        if nothing > 0 {
+            source.info.warnings.push(format!("{nothing} rows are zeros: nothing came back there"));
+        }
+        if let Err(error) = section.pose.rigid_scale() {
+            source.info.warnings.push(format!("the transform of block {} is applied as it stands: {error}", index + 1));
+        }
+        sources.push(Box::new(source));
+    }
+    Ok(sources)
+}
+
+/// The columns of a row of a block: x, y, z, then intensity or a colour or both.
+fn block_columns(survey: &Survey) -> Vec<Role> {
+    let rest: &[&str] = match survey.columns.len() {
+        4 => &["Intensity"],
+        6 => &["Red", "Green", "Blue"],
+        7 => &["Intensity", "Red", "Green", "Blue"],
+        _ => &[],
+    };
+    named(survey.columns.len(), rest)
+}
+
+fn understood(roles: &[Role]) -> String {
+    let name = |role: &Role| match role {
+        Role::Axis(axis) => ["x", "y", "z"][*axis].to_owned(),
+        Role::Attribute(name) => name.clone(),
+        Role::Skip => "-".to_owned(),
+    };
+    let names: Vec<_> = roles.iter().map(name).collect();
+    format!("the columns have no names and are taken as {}; --columns names them otherwise", names.join(","))
+}
+
+/// Where the text begins: behind a byte order mark.
+fn text_start(file: &SourceFile) -> Result<u64, FormatError> {
+    let head = file.read_vec(0, HEAD_BYTES)?;
+    if head.starts_with(b"\xff\xfe") || head.starts_with(b"\xfe\xff") {
+        return Err(file.unsupported("text in UTF-16", "write it as UTF-8"));
+    }
+    let lone = head.iter().zip(head.iter().skip(1)).any(|(a, b)| *a == b'\r' && *b != b'\n');
+    if lone {
+        return Err(file.unsupported("text whose lines end in a carriage return alone", "end them with a line feed"));
+    }
+    Ok(if head.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 })
+}

@@ -1,0 +1,70 @@
+//! What the first lines of a text look like.
+
+use super::columns::{axes, roles};
+use super::number::parse;
+use super::words::{Separator, is_comment};
+
+/// Bytes that are looked at.
+pub const HEAD_BYTES: u64 = 1 << 16;
+
+/// What a text may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// Columns, rows, four lines of three numbers, four of four: a block of PTX.
+    Ptx,
+    /// A number alone, then rows: a block of PTS.
+    Pts,
+    /// Rows, with or without a line of names.
+    Rows,
+}
+
+/// The shape of a text that begins with `head`.
+pub fn shape(head: &[u8]) -> Option<Shape> {
+    let head = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head);
+    if head.iter().any(|b| b.is_ascii_control() && !b.is_ascii_whitespace()) {
+        return None;
+    }
+    let mut lines = head.split(|&b| b == b'\n').filter(|l| !l.trim_ascii().is_empty());
+    let first = lines.by_ref().find(|l| !is_comment(l))?;
+    if is_count(first) {
+        let next: Vec<_> = lines.take(9).collect();
+        let numbers = |line: &[u8]| Separator::Blank.words(line).map(|w| parse(w, false)).collect::<Option<Vec<_>>>();
+        let words = |i: usize| next.get(i).and_then(|l| numbers(l)).map_or(0, |n| n.len());
+        return match next.len() {
+            0 => Some(Shape::Pts),
+            9 if is_count(next[0]) && (1..5).all(|i| words(i) == 3) && (5..9).all(|i| words(i) == 4) => {
+                Some(Shape::Ptx)
+            }
+            _ if words(0) >= 3 => Some(Shape::Pts),
+            _ => None,
+        };
+    }
+    if row(first).is_some() {
+        return Some(Shape::Rows);
+    }
+    let named = names(first).is_some_and(|n| axes(&roles(&n)).is_some());
+    (named && lines.next().is_none_or(|l| row(l).is_some())).then_some(Shape::Rows)
+}
+
+/// Is it one whole number, alone?
+pub fn is_count(line: &[u8]) -> bool {
+    let line = line.trim_ascii();
+    !line.is_empty() && line.len() < 20 && line.iter().all(u8::is_ascii_digit)
+}
+
+/// How the words of a row of numbers are separated; `None` if it is no such row.
+pub fn row(line: &[u8]) -> Option<Separator> {
+    let separator = Separator::of(line);
+    let comma = separator == Separator::Byte(b';');
+    let mut words = separator.words(line);
+    let three = (0..3).all(|_| words.next().is_some_and(|w| !w.is_empty() && parse(w, comma).is_some()));
+    three.then_some(separator)
+}
+
+/// The words of a line as names; `None` unless there are three at least.
+pub fn names(line: &[u8]) -> Option<Vec<String>> {
+    let line = line.trim_ascii();
+    let line = line.strip_prefix(b"//").or(line.strip_prefix(b"#")).unwrap_or(line).trim_ascii();
+    let words: Vec<_> = Separator::of(line).words(line).map(|w| String::from_utf8_lossy(w).into_owned()).collect();
+    (words.len() >= 3).then_some(words)
+}

@@ -1,0 +1,267 @@
+//! Texts made in memory: every form of rows, blocks with transforms, what is cut and what is bent.
+
+use crate::formats::{FormatError, Piece, PointSource, ReadOptions, open_all, parse_columns};
+use crate::points::{Column, PositionKind};
+use proptest::prelude::*;
+
+fn try_opened(name: &str, content: &str, columns: Option<&str>) -> Result<Vec<Box<dyn PointSource>>, FormatError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, content).unwrap();
+    let columns = columns.map(|c| parse_columns(c).unwrap());
+    open_all(&path, &ReadOptions { columns, ..ReadOptions::default() })
+}
+
+fn opened(name: &str, content: &str) -> Vec<Box<dyn PointSource>> {
+    try_opened(name, content, None).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn refusal(name: &str, content: &str) -> String {
+    try_opened(name, content, None).err().map_or_else(|| "opened".to_owned(), |e| e.to_string())
+}
+
+fn records(source: &dyn PointSource, target: u64) -> Vec<u8> {
+    let mut all = Vec::new();
+    for piece in source.pieces(target) {
+        let mut sink = |run: &[u8]| {
+            all.extend_from_slice(run);
+            true
+        };
+        let tally = source.read(piece, &mut sink).unwrap();
+        assert_eq!(tally.read + tally.truncated, piece.records);
+    }
+    all
+}
+
+fn positions(source: &dyn PointSource) -> Vec<[f64; 3]> {
+    let layout = &source.info().layout;
+    let all = records(source, 10);
+    let position = |r: &[u8]| -> [f64; 3] {
+        match (layout.position, &source.info().grid) {
+            (PositionKind::Grid, Some(grid)) => {
+                grid.world(std::array::from_fn(|i| i32::from_le_bytes(r[4 * i..4 * i + 4].try_into().unwrap())))
+            }
+            _ => std::array::from_fn(|i| f64::from_le_bytes(r[8 * i..8 * i + 8].try_into().unwrap())),
+        }
+    };
+    all.chunks_exact(layout.stride()).map(position).collect()
+}
+
+fn column(source: &dyn PointSource, name: &str) -> Column {
+    let layout = &source.info().layout;
+    let i = layout.attributes.iter().position(|a| a.name == name).unwrap_or_else(|| panic!("no {name}"));
+    let mut column = Column::with_capacity(layout.attributes[i].ty, 0);
+    let all = records(source, 1000);
+    layout.extract(i, all.chunks_exact(layout.stride()).map(|r| &r[layout.position.size()..]), &mut column);
+    column
+}
+
+fn attributes(source: &dyn PointSource) -> Vec<String> {
+    source.info().layout.attributes.iter().map(|a| format!("{} {}", a.name, a.ty.word())).collect()
+}
+
+#[test]
+fn any_separator_and_any_header_give_the_same_points() {
+    let texts = [
+        "1.5 2 -3\n4 5 6\n",
+        "X Y Z\n1.5 2 -3\n4 5 6",
+        "//X,Y,Z\n1.5,2,-3\n4,5,6\n",
+        "# made by hand\n# y x z\n2 1.5 -3\n\n5 4 6\n",
+        "\u{feff}x;y;z\r\n1,5;2;-3\r\n4;5;6\r\n",
+        "\"X\", \"Y\", \"Z\"\n1.5 , 2, -3\n4,5,6\n",
+        "Easting\tNorthing\tHeight\n1.5\t2\t-3\n4\t5\t6\n",
+        "z y x\n-3 2 1.5\n6 5 4\n",
+    ];
+    for text in texts {
+        let all = opened("a.xyz", text);
+        assert_eq!(all[0].info().records, 2, "{text}");
+        assert_eq!(positions(&*all[0]), [[1.5, 2.0, -3.0], [4.0, 5.0, 6.0]], "{text}");
+        assert!(attributes(&*all[0]).is_empty(), "{text}");
+        assert_eq!(all[0].info().bounds_hint, Some(([1.5, 2.0, -3.0], [4.0, 5.0, 6.0])));
+    }
+}
+
+#[test]
+fn columns_without_names_are_known_by_their_values() {
+    let cases: [(&str, &[&str]); 8] = [
+        ("1 2 3 4\n", &["Intensity u16"]),
+        ("1 2 3 -4\n", &["Intensity i16"]),
+        ("1 2 3 0.25\n", &["Intensity f32"]),
+        ("1 2 3 4 5 6\n", &["Blue u8", "Green u8", "Red u8"]),
+        ("1 2 3 4 5 600\n", &["Blue u16", "Green u8", "Red u8"]),
+        ("1 2 3 0.1 -1 0\n", &["NormalX f32", "NormalY i32", "NormalZ i32"]),
+        ("1 2 3 -9 255 0 0\n1 2 3 9 0 0 1\n", &["Blue u8", "Green u8", "Intensity i16", "Red u8"]),
+        ("1 2 3 117.0 73.0 49.0 255.0\n1 2 3 1.0 2.0 3.0 255.0\n", &["Alpha f32", "Blue u8", "Green u8", "Red u8"]),
+    ];
+    for (text, expected) in cases {
+        let all = opened("a.txt", text);
+        assert_eq!(attributes(&*all[0]), expected, "{text}");
+        assert!(all[0].info().warnings[0].contains("the columns have no names and are taken as x,y,z,"));
+    }
+}
+
+#[test]
+fn types_are_the_smallest_that_keep_what_is_written() {
+    let text = "x,y,z,Classification,GpsTime,a,b,c,d,label,empty,PointSourceId,Red\n\
+                1,2,3,2,0,1,0.123456,0.1234567,1e5,oak,,7,300\n4,5,6,300,1,-70000,2,3,,elm,,70000,0.5\n";
+    let all = opened("a.csv", text);
+    let found = attributes(&*all[0]);
+    // Words and empty columns are not kept; what does not fit a LAS dimension is of another type.
+    let expected =
+        ["Classification i32", "GpsTime f64", "PointSourceId i32", "a i32", "b f32", "c f64", "d f64", "red f32"];
+    assert_eq!(found, expected);
+    assert_eq!(column(&*all[0], "b"), Column::F32(vec![0.123_456, 2.0]));
+    assert!(matches!(column(&*all[0], "d"), Column::F64(v) if v[0] == 1e5 && v[1].is_nan()));
+    let warnings = all[0].info().warnings.join("; ");
+    assert!(warnings.contains("column `label` is not kept: it holds words (`oak` at byte 67)"), "{warnings}");
+    assert!(warnings.contains("column `empty` is not kept: it holds no number"), "{warnings}");
+}
+
+#[test]
+fn the_user_says_what_columns_are() {
+    let content = "7 1 2 3 0.5 9\n8 4 5 6 0.6 9\n";
+    let all = try_opened("a.txt", content, Some("-,x,y,z,reflectance")).unwrap();
+    assert_eq!(positions(&*all[0]), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+    assert_eq!(attributes(&*all[0]), ["reflectance f32"]);
+    assert_eq!(all[0].info().options, "columns -,x,y,z,reflectance");
+    assert!(all[0].info().warnings[0].contains("rows have 6 columns, 5 of them are named"));
+    // Also where there are other names, and words before the coordinates.
+    let all = try_opened("a.csv", "id,e,n,h\np1,1,2,3\np2,4,5,6\n", Some("-,x,y,z")).unwrap();
+    assert_eq!(positions(&*all[0])[1], [4.0, 5.0, 6.0]);
+}
+
+#[test]
+fn coordinates_with_few_digits_lie_on_their_own_grid() {
+    let grid = |text: &str| opened("a.xyz", text)[0].info().grid.map(|g| g.scale[0].to_string());
+    assert_eq!(grid("1 2 3\n").as_deref(), Some("0.001"));
+    assert_eq!(grid("1.25 2 3.123400\n").as_deref(), Some("0.0001"));
+    assert_eq!(grid("665187.522077 5648349.895035 241.767693\n").as_deref(), Some("0.000001"));
+    // Where a millimetre does not fit 32 bits, the digits as they are.
+    assert_eq!(grid("0 0 0\n9000000 1 1\n").as_deref(), Some("1"));
+    for floats in ["1.1234567 2 3\n", "1e0 2 3\n", "nan 2 3\n1 2 3\n", "1 2 3\n90000000000 0 0.5\n"] {
+        assert_eq!(grid(floats), None, "{floats}");
+    }
+}
+
+#[test]
+fn blocks_of_pts_are_sources() {
+    let all = opened("a.pts", "2\n1 2 3 -100 1 2 3\n4 5 6 200 4 5 6\n1\n7 8 9\n0\n");
+    assert_eq!(all.len(), 3);
+    assert_eq!(attributes(&*all[0]), ["Blue u8", "Green u8", "Intensity i16", "Red u8"]);
+    assert_eq!(positions(&*all[1]), [[7.0, 8.0, 9.0]]);
+    assert_eq!(all.iter().map(|s| (s.info().index, s.info().records)).collect::<Vec<_>>(), [(0, 2), (1, 1), (2, 0)]);
+    // More rows than announced are rows; fewer are missing; none announced is fine.
+    let info = |text: &str| {
+        let all = opened("a.pts", text);
+        (all[0].info().records, all[0].info().missing, all[0].info().warnings.join(";"))
+    };
+    let (records, missing, warnings) = info("1\n1 2 3\n4 5 6\n");
+    assert!((records, missing) == (2, 0) && warnings.contains("announces 1 points, there are 2 rows: all are read"));
+    let (records, missing, warnings) = info("5\n1 2 3\n4 5 6\n");
+    assert!((records, missing) == (2, 3) && warnings.contains("announces 5 points, the file holds 2"));
+    assert_eq!(info("1 2 3 4 5 6 7\n"), (1, 0, String::new()));
+}
+
+const PTX: &str = "2\n2\n100 200 300\n1 0 0\n0 1 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n100 200 300 1\n\
+                   1 2 3 0.5 10 20 30\n0 0 0 0.500000 0 0 0\n4 5 6 0.25 1 2 3\n7 8 9 1 0 0 0\n";
+
+#[test]
+fn blocks_of_ptx_are_placed_by_their_transforms() {
+    let second = PTX.replace("0 1 0 0\n-1 0 0 0", "1 0 0 0\n0 1 0 0").replace("100 200 300", "0 0 0");
+    let all = opened("a.ptx", &(PTX.to_owned() + &second));
+    assert_eq!(all.len(), 2);
+    let placed = positions(&*all[0]);
+    // Row vectors: (1, 2, 3) goes to (-2, 1, 3) by these rows.
+    assert_eq!(placed[0], [98.0, 201.0, 303.0]);
+    assert!(placed[1].iter().all(|v| v.is_nan()));
+    assert_eq!(all[0].info().pose.scanner(), [100.0, 200.0, 300.0]);
+    assert!(all[0].info().warnings[0].contains("1 rows are zeros"));
+    assert_eq!(attributes(&*all[0]), ["Blue u8", "Green u8", "Intensity f32", "Red u8"]);
+    assert_eq!(column(&*all[0], "Intensity"), Column::F32(vec![0.5, 0.5, 0.25, 1.0]));
+    assert_eq!(positions(&*all[1])[3], [7.0, 8.0, 9.0]);
+    assert!(positions(&*all[1])[1][0].is_nan());
+}
+
+#[test]
+fn bad_blocks_are_refused_with_their_place() {
+    let cases = [
+        (
+            PTX.replace("0 0 1 0\n", "0 0 0 0\n"),
+            "at byte 0: expected a block with a transform, found the matrix is singular",
+        ),
+        (PTX.replace("4 5 6 0.25", "4 x 6 0.25"), "expected a row of numbers with x, y and z, found `x`"),
+        (PTX.to_owned() + "7\n", "expected the columns and the rows of a block, a line each, found one number"),
+        (PTX.to_owned() + "7\n7\n1 2 3\n", "expected the transform of a block, found the end of the file"),
+        (PTX.to_owned() + "7\n7\n1 2 3 4\n", "expected 3 numbers of a block's header, found `1 2 3 4`"),
+    ];
+    for (text, expected) in cases {
+        let error = refusal("a.ptx", &text);
+        assert!(error.contains(expected), "{error}");
+    }
+    assert!(refusal("a.xyz", "1 2 3\n4 5\n6 7 8\n").contains("at byte 6: expected a row of numbers with x, y and z"));
+    assert!(refusal("a.csv", "a,b,c\n1,2,3\n").contains("at byte 0: expected a row of numbers, or a line that names"));
+    assert!(refusal("a.txt", &format!("1 2 3\n{}", "4".repeat(200_000))).contains("and no end of it"));
+}
+
+#[test]
+fn a_file_that_ends_in_a_row_gives_the_rows_before() {
+    for (text, rows) in [("1 2 3\n4 5", 1), ("1 2 3\n4 5 6\n7", 2), ("1 2 3 4\n4 5 6", 1), ("1 2 3\n4 5 -", 1)] {
+        let all = opened("a.xyz", text);
+        let info = all[0].info();
+        assert_eq!((info.records, info.missing), (rows, 1), "{text}");
+        assert!(info.warnings.iter().any(|w| w.contains("in the middle of a row")));
+        assert_eq!(positions(&*all[0]).len() as u64, rows);
+    }
+    assert_eq!(opened("a.xyz", "1 2 3\n4 5 6")[0].info().records, 2);
+}
+
+#[test]
+fn rows_that_lack_words_have_nan_there() {
+    let all = opened("a.txt", "1 2 3 4 5\n1 2 3\n1 2 3 6 7\n");
+    assert!(matches!(column(&*all[0], "column4"), Column::F32(v) if v[0] == 4.0 && v[1].is_nan() && v[2] == 6.0));
+    assert!(all[0].info().warnings.iter().any(|w| w.contains("rows have 3 to 5 columns")));
+}
+
+/// Large enough for several chunks: 200,000 rows.
+#[test]
+fn pieces_are_the_rows_in_order_whatever_their_size() {
+    let text: String = (0..200_000).map(|i| format!("{i} {} 0.5 {}\n", i % 7, i % 50_000)).collect();
+    let all = opened("a.xyz", &text);
+    let source = &*all[0];
+    let one = records(source, u64::MAX);
+    assert_eq!(one.len() / source.info().layout.stride(), 200_000);
+    assert!(source.pieces(50_000).len() > 2);
+    assert!(records(source, 1) == one);
+    let mut part = Vec::new();
+    let mut sink = |run: &[u8]| {
+        part.extend_from_slice(run);
+        true
+    };
+    source.read(Piece { first: 123_456, records: 11 }, &mut sink).unwrap();
+    let stride = source.info().layout.stride();
+    assert!(part == one[123_456 * stride..123_467 * stride]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+    /// A line-by-line reading by the standard library is the judge.
+    #[test]
+    fn rows_are_what_a_naive_reading_gives(
+        rows in prop::collection::vec((-1e6_f64..1e6, -1e3_f64..1e3, any::<i32>(), 0_usize..9), 1..50),
+        separator in prop::sample::select(vec![" ", "\t", ",", " , ", "   "]),
+    ) {
+        let text: String = rows
+            .iter()
+            .map(|(x, y, z, d)| format!("{x:.d$}{separator}{y:.d$}{separator}{z}{separator}{}\n", x / 3.0))
+            .collect();
+        let all = opened("a.txt", &text);
+        let found = positions(&*all[0]);
+        let extra = column(&*all[0], "Intensity");
+        prop_assert_eq!(found.len(), rows.len());
+        for (i, line) in text.lines().enumerate() {
+            let words: Vec<f64> = line.split([' ', '\t', ',']).filter(|w| !w.is_empty()).map(|w| w.parse().unwrap()).collect();
+            prop_assert!((0..3).all(|a| (found[i][a] - words[a]).abs() <= 1e-9 * words[a].abs().max(1.0)), "{}", line);
+            prop_assert_eq!(extra.as_f64(i), words[3]);
+        }
+    }
+}

@@ -30,7 +30,8 @@ impl Budget {
         // Beside the rows themselves, jobs and the writer's queue need room; the rest is left to SQLite and the readers.
         let temp_bytes = if total_bytes <= memory / 2 { 0 } else { total_bytes };
         let threads = threads.max(1) as u64;
-        // A job holds its rows twice while they are read, their keys twice while they are sorted, and what it encodes.
+        // A job holds its rows, if they come back from the file, their keys three times while they are sorted, and what it
+        // encodes.
         let job_bytes = (memory / 4 / threads).max(1 << 20);
         let bucket_rows = (job_bytes / (2 * row_bytes + 48)).clamp(1 << 12, 1 << 22);
         let piece_bytes = (memory / 8 / threads).clamp(1 << 20, 16 << 20);

@@ -151,6 +151,7 @@ pub(super) fn put_block<T: Value>(
         put_uint(least, width, out);
         put_varint(step.size(), out);
     };
+    let steady_head = |out: &mut Vec<u8>| head(Kind::Steady, out);
     if most <= u64::from(u8::MAX) {
         let numbers = &mut buffers.bytes;
         numbers.clear();
@@ -161,11 +162,21 @@ pub(super) fn put_block<T: Value>(
         } else {
             numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least) as u8));
         }
+        if let Some(passes) = passes
+            && steady::try_put_same(streams, passes, |i| u64::from(buffers.bytes[i]), steady_head, out)
+        {
+            return;
+        }
         put_bytes(streams, buffers, most, head, out);
     } else {
         let numbers = &mut buffers.values;
         numbers.clear();
         numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least)));
+        if let Some(passes) = passes
+            && steady::try_put_same(streams, passes, |i| buffers.values[i], steady_head, out)
+        {
+            return;
+        }
         put_wide(streams, buffers, most, times, head, out);
     }
     let plain = out.len() - start;
@@ -175,12 +186,11 @@ pub(super) fn put_block<T: Value>(
     {
         let Buffers { values, bytes, steady, other, .. } = buffers;
         other.clear();
-        let head = |out: &mut Vec<u8>| head(Kind::Steady, out);
         let count = block.len();
         let tried = if most <= u64::from(u8::MAX) {
-            steady::try_put(streams, steady, passes, count, |i| u64::from(bytes[i]), plain, head, other)
+            steady::try_put(streams, steady, passes, count, |i| u64::from(bytes[i]), plain, steady_head, other)
         } else {
-            steady::try_put(streams, steady, passes, count, |i| values[i], plain, head, other)
+            steady::try_put(streams, steady, passes, count, |i| values[i], plain, steady_head, other)
         };
         if tried && other.len() < plain {
             out.truncate(start);

@@ -9,7 +9,6 @@ use super::lines::{Fit, MAX_PASSES, Place, nearest};
 use super::numbers::{self, Numbers, unzigzag, zigzag};
 use super::passes::BlockPasses;
 use super::reader::{Reader, put_varint};
-use super::residual::{SAMPLE, plan};
 use super::scratch::Decoder;
 use super::stream::StreamWriter;
 
@@ -17,10 +16,10 @@ use super::stream::StreamWriter;
 const RATE_BITS: u32 = 20;
 
 /// Every so many points are looked at.
-const STRIDE: usize = 8;
+const STRIDE: usize = 24;
 
-/// The estimate must be so much better.
-const GAIN: f32 = 0.9;
+/// The estimate must be so much better: it is rough, and trying takes time.
+const GAIN: f32 = 0.8;
 
 /// What numbers of a pass are expected to be.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -93,16 +92,18 @@ impl SteadyBuffers {
             let base = nearest(seen.fit.constant(rates));
             Course { base, rates: rates.map(|rate| nearest(rate * f64::from(1 << RATE_BITS))) }
         }));
-        let mut off = [0; SAMPLE];
-        let mut taken = 0;
-        let mut all = 0;
-        for (off, i) in off.iter_mut().zip(sample()) {
-            *off = self.off(passes, i, number(i));
-            all |= *off;
+        // The bits of each, and about one more to tell how many they are.
+        let (mut bits, mut taken, mut all) = (0, 0, 0);
+        for i in sample() {
+            let off = self.off(passes, i, number(i));
+            bits += u64::BITS - off.leading_zeros();
             taken += 1;
+            all |= off;
         }
-        let cost = plan(&off[..taken], u64::BITS - all.leading_zeros(), count).cost_bits;
-        cost < GAIN * 8.0 * limit_bytes as f32
+        // No symbol takes less than a bit, unless nearly all are the same.
+        let least = if all > 2 { 1.0 } else { 0.0 };
+        let bits = (bits as f32 / taken as f32).max(least) + least;
+        bits * (count as f32) < GAIN * 8.0 * limit_bytes as f32
     }
 
     #[inline]
@@ -110,6 +111,31 @@ impl SteadyBuffers {
         let course = &self.courses[usize::from(passes.of_point[i])];
         zigzag((number as i64).wrapping_sub(course.at(passes.places[i])) as u64)
     }
+}
+
+/// Appends the numbers of a block to `out` after `head` if all of a pass are the same.
+pub(super) fn try_put_same(
+    streams: &mut StreamWriter,
+    passes: &BlockPasses,
+    number: impl Fn(usize) -> u64,
+    head: impl Fn(&mut Vec<u8>),
+    out: &mut Vec<u8>,
+) -> bool {
+    let mut common = [None; MAX_PASSES];
+    let mut points = passes.of_point.iter().enumerate();
+    if !points.all(|(i, pass)| *common[usize::from(*pass)].get_or_insert(number(i)) == number(i)) {
+        return false;
+    }
+    head(out);
+    for base in &common[..passes.count] {
+        put_course(&Course { base: base.unwrap_or(0) as i64, rates: [0; 3] }, out);
+    }
+    numbers::put_zeros(streams, passes.of_point.len(), out);
+    true
+}
+
+fn put_course(Course { base, rates }: &Course, out: &mut Vec<u8>) {
+    [base].into_iter().chain(rates).for_each(|v| put_varint(zigzag(*v as u64), out));
 }
 
 /// Appends `count` numbers to `out` after `head` if that is estimated to take less than `limit_bytes`.
@@ -130,9 +156,7 @@ pub(super) fn try_put(
     off.clear();
     off.extend((0..count).map(|i| buffers.off(passes, i, number(i))));
     head(out);
-    for Course { base, rates } in &buffers.courses {
-        [base].into_iter().chain(rates).for_each(|v| put_varint(zigzag(*v as u64), out));
-    }
+    buffers.courses.iter().for_each(|course| put_course(course, out));
     let most = off.iter().copied().max().unwrap_or(0);
     let choice = numbers::choose(count, most, |i| off[i]);
     numbers::put(streams, &off, &mut buffers.packed, choice, out);

@@ -226,3 +226,92 @@ fn ten_million_coincident_points_cost_almost_nothing() {
     chunk.decode_block(&mut Decoder::new(), 1234, &mut positions).unwrap();
     assert!(positions.iter().all(|p| p == cube.low()));
 }
+
+/// A flight over a cube: points in key order, the times that a scanner would give them, and what is steady in its passes.
+fn flown(passes: u64, jitter: u64) -> (Cube, Vec<u64>, Vec<Column>) {
+    let cube = Cube::containing(LatticePoint([1 << 46; 3]), 13);
+    let mut points = Vec::new();
+    let mut state = 1_u64;
+    let mut noise = |n: u64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 33) % (n + 1)
+    };
+    for pass in 0..passes {
+        for line in 0..70 {
+            for shot in 0..70 {
+                let place = [shot * 30 + noise(jitter), line * 40 + noise(jitter), 300 + noise(jitter)];
+                let point = LatticePoint(std::array::from_fn(|i| cube.low().0[i] + place[i]));
+                let time = 3e8 + pass as f64 * 100.0 + line as f64 * 5e-3 + shot as f64 * 8e-7;
+                points.push((Key::of(point).low, time, pass as u16, shot as i16 / 3));
+            }
+        }
+    }
+    points.sort_unstable_by_key(|p| p.0);
+    let times = Column::F64(points.iter().map(|p| p.1).collect());
+    let sources = Column::U16(points.iter().map(|p| p.2 + 40).collect());
+    let angles = Column::I16(points.iter().map(|p| p.3 * 7 - 100).collect());
+    (cube, points.iter().map(|p| p.0).collect(), vec![times, sources, angles])
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn what_follows_from_positions_comes_back_and_its_damage_is_an_error_or_values(
+        passes in 1_u64..4,
+        jitter in 0_u64..8,
+        damage: prop::sample::Index,
+        to: u8,
+    ) {
+        let (cube, keys, columns) = flown(passes, jitter);
+        let mut encoder = Encoder::new();
+        let mut chunks = vec![Vec::new(), Vec::new(), Vec::new()];
+        let found = encoder.times(&columns[0], cube, &keys, &mut chunks[0]).unwrap();
+        for (column, chunk) in columns.iter().zip(&mut chunks).skip(1) {
+            encoder.column_beside(column, &found, chunk).unwrap();
+        }
+        let mut positions = Vec::new();
+        encoder.positions_with(cube, &keys, &found, &mut positions).unwrap();
+        prop_assert_eq!(read_positions(&positions, cube, keys.len()).unwrap().len(), keys.len());
+        let read = |chunk: &[u8], positions: &[u8], ty: ScalarType| {
+            let positions = PositionChunk::parse(positions, cube, keys.len())?;
+            let mut column = Column::zeros(ty, 0);
+            ColumnChunk::parse(chunk, ty, keys.len())?.at(&positions).decode(&mut Decoder::new(), &mut column)?;
+            Ok::<_, CodecError>(column)
+        };
+        for (column, chunk) in columns.iter().zip(&mut chunks) {
+            prop_assert_eq!(bits(&read(chunk, &positions, column.ty()).unwrap()), bits(column));
+            let at = damage.index(chunk.len());
+            let whole = std::mem::replace(&mut chunk[at], to);
+            if let Ok(found) = read(chunk, &positions, column.ty()) {
+                prop_assert_eq!(found.len(), keys.len());
+            }
+            chunk[at] = whole;
+        }
+        let at = damage.index(positions.len());
+        positions[at] = to;
+        for (column, chunk) in columns.iter().zip(&chunks) {
+            if let Ok(found) = read(chunk, &positions, column.ty()) {
+                prop_assert_eq!(found.len(), keys.len());
+            }
+        }
+    }
+}
+
+#[test]
+fn what_follows_from_positions_takes_little_and_asks_for_them() {
+    let (cube, keys, columns) = flown(2, 0);
+    let mut encoder = Encoder::new();
+    let (mut times, mut sources, mut angles) = (Vec::new(), Vec::new(), Vec::new());
+    let passes = encoder.times(&columns[0], cube, &keys, &mut times).unwrap();
+    encoder.column_beside(&columns[1], &passes, &mut sources).unwrap();
+    encoder.column_beside(&columns[2], &passes, &mut angles).unwrap();
+    let mut alone = Vec::new();
+    encoder.column(&columns[0], &mut alone).unwrap();
+    assert!(3 * times.len() < alone.len(), "{} bytes, alone {}", times.len(), alone.len());
+    assert!(100 * sources.len() < keys.len(), "{} bytes", sources.len());
+    let mut column = Column::zeros(ScalarType::F64, 0);
+    let chunk = ColumnChunk::parse(&times, ScalarType::F64, keys.len()).unwrap();
+    assert_eq!(chunk.decode(&mut Decoder::new(), &mut column), Err(CodecError::NoPositions));
+    assert_eq!(column.len(), 0);
+}

@@ -2,10 +2,12 @@
 
 use super::IngestError;
 use super::bulk::{Layer, Room, params};
-use super::change::{Edit, Ground, NewRows, change};
+use super::change::{Edit, Ground, NewRows, POINT_BYTES, change};
 use super::context::Context;
 use super::gather::ScanColumns;
-use super::layers::{Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw};
+use super::layers::{
+    MOST_INSERTED, Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw,
+};
 use super::measure::{WorldBounds, hinted_bounds};
 use super::partition::{Bucket, RowPlan, ScanTally};
 use super::progress::Stage;
@@ -75,18 +77,16 @@ pub(super) fn add(
     context.progress.stage(Stage::Build, new_points);
     let new = NewScans { plans: &plans, scans: &scans };
     let edits = stages
-        .time(Stage::Build, new_points, || build(context, &snapshot, writer, batch, &new, &room, buckets, report))?;
+        .time(Stage::Build, new_points, || build(context, snapshot, writer, batch, &new, &room, buckets, report))?;
     context.go_on()?;
 
     context.progress.stage(Stage::Commit, new_points);
     let scans_removed = batch.replaced.to_vec();
-    let flip = Flip { crs: batch.crs.clone(), scans_removed, ..joined(&snapshot, edits) };
+    let flip = Flip { crs: batch.crs.clone(), scans_removed, ..joined(&site, edits) };
     for ((source, tally), scan) in sources.iter().zip(&read.tallies).zip(&scans) {
         report.scans.push(scan_report(source, tally, scan));
     }
     report.points += new_points;
-    // A snapshot that is held keeps the log from being written back.
-    drop(snapshot);
     stages.time(Stage::Commit, new_points, || writer.commit(Flip { scans_added: scans, ..flip }))?;
     Ok(())
 }
@@ -120,7 +120,7 @@ impl NewScans<'_> {
 #[expect(clippy::too_many_arguments, reason = "all of one step of `add`, which has them as variables")]
 fn build(
     context: &Context<'_>,
-    snapshot: &Snapshot,
+    snapshot: Snapshot,
     writer: &mut Writer,
     batch: &Batch<'_>,
     new: &NewScans<'_>,
@@ -130,15 +130,16 @@ fn build(
 ) -> Result<Vec<Edit>, IngestError> {
     let index = snapshot.index()?;
     let site = snapshot.site();
-    let stored_plans = stored_plans(context, snapshot)?;
+    let stored_plans = stored_plans(context, &snapshot)?;
     // The new scans' records as a change sees them: canonical, like those of the stored ones.
     let canonical: Vec<RowPlan> = new.plans.iter().map(|plan| plan.canonical()).collect();
     let new_columns = NewScans { plans: &canonical, scans: new.scans };
-    let order = scan_order(stored_columns(snapshot, &stored_plans), new_columns.columns());
+    let order = scan_order(stored_columns(&snapshot, &stored_plans), new_columns.columns());
     let table = scan_table(writer.attributes(), snapshot.scans().iter().chain(new.scans));
-    let ground = Ground { snapshot, index: &index, params: params(site), scans: &order, table: &table };
+    let ground = Ground { snapshot: &snapshot, index: &index, params: params(site), scans: &order, table: &table };
     let rows: u64 = buckets.iter().map(|b| b.rows).sum();
-    let small = room.is_memory() && rows.saturating_mul(super::change::POINT_BYTES) <= context.memory;
+    let fits = rows <= MOST_INSERTED && rows.saturating_mul(POINT_BYTES) <= context.memory;
+    let small = room.is_memory() && fits;
     let columns = new.columns();
 
     let mut edits = Vec::new();
@@ -150,7 +151,7 @@ fn build(
         };
         let mut points = new_rows.points();
         let keys: Vec<Key> = points.iter().map(|p| p.key).collect();
-        if let Target::Existing(into) = target(context, snapshot, &index, Some(&keys)) {
+        if let Target::Existing(into) = target(context, &snapshot, &index, Some(&keys)) {
             drop(buckets);
             for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
                 if layer == into {
@@ -169,10 +170,13 @@ fn build(
         edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
     }
     let bounds = new.scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    if let (Some(bounds), Target::New(into)) = (bounds, target(context, snapshot, &index, None)) {
+    if let (Some(bounds), Target::New(into)) = (bounds, target(context, &snapshot, &index, None)) {
+        let params = params(site);
         let root = Cube::spanning(bounds.min, bounds.max, site.g);
+        // A snapshot that is held keeps the log from being used again while it grows by the whole layer.
+        drop(snapshot);
         let ids = writer.chunk_ids();
-        let layer = Layer { layer: into, params: params(site), root, scans: &columns, table: &table, ids };
+        let layer = Layer { layer: into, params, root, scans: &columns, table: &table, ids };
         let put = room.write(context, writer, &layer, buckets)?;
         edits.push(Edit { layer: into, root: Some(root), put, ..Edit::default() });
     }

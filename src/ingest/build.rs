@@ -8,7 +8,7 @@ use super::partition::Bucket;
 use super::progress::Progress;
 use super::rows::RowKey;
 use super::spill::Spill;
-use crate::lattice::{Cube, SortKey};
+use crate::lattice::Cube;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{self, Params, first_win, put_wins};
 use crate::store::{
@@ -340,7 +340,7 @@ impl<'a> Worker<'a> {
     }
 }
 
-impl<K: SortKey> NodeScratch<K> {
+impl<K: RowKey> NodeScratch<K> {
     /// Takes the bucket's points with these indices.
     fn fill(&mut self, points: &[u32], keys: &[K], wins: &[i8], order: &[u32]) {
         self.keys.clear();

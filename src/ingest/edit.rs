@@ -86,7 +86,7 @@ pub fn remove(
         }
         context.go_on()?;
         removed.chunks_written = edits.iter().map(|e| e.chunks).sum();
-        let flip = Flip { scans_removed: doomed, ..joined(&snapshot, edits) };
+        let flip = Flip { scans_removed: doomed, ..joined(snapshot.site(), edits) };
         drop(snapshot);
         progress.stage(Stage::Commit, removed.points);
         writer.commit(flip)?;

@@ -24,7 +24,7 @@ use std::time::Duration;
 const TRANSACTION_BYTES: u64 = 16 << 20;
 
 /// A log beyond this is checkpointed as soon as readers allow.
-const WAL_BYTES: u64 = 192 << 20;
+const WAL_BYTES: u64 = 128 << 20;
 
 /// How long the writer waits for readers to let go of the log; they renew their transactions several times in this
 /// time, unless a flip has overtaken them.

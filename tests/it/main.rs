@@ -3,6 +3,7 @@
 mod answers;
 mod bad_input;
 mod canonical;
+mod changes;
 mod faults;
 mod fidelity;
 mod floors;
@@ -11,4 +12,5 @@ mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;
 mod poses;
+mod readers;
 mod support;

@@ -19,7 +19,7 @@ const PASS_GAP: i64 = 50;
 const BOTH_WAYS: f64 = 0.1;
 
 /// Every so many points are looked at for rates.
-const STRIDE: usize = 4;
+const STRIDE: usize = 8;
 
 /// Gaps that are looked at for the pulse.
 const PULSE_SAMPLE: usize = 256;

@@ -38,7 +38,7 @@ pub(super) struct LineBuffers {
 }
 
 /// Pulses are judged by such a share of the points.
-const SAMPLE_SHARE: usize = 8;
+const SAMPLE_SHARE: usize = 16;
 
 /// How far a block's points are off what is expected of them.
 #[derive(Debug, Default)]
@@ -91,9 +91,10 @@ impl Off {
         rests.truncate(other_count);
     }
 
-    /// An estimate of what depends on the pulse, in bits.
-    fn cost(&self, pulse: u64) -> f32 {
-        self.pieces(pulse).skip(2).map(|piece| plan_all(piece).0.cost_bits).sum()
+    /// About what depends on the pulse, in bits.
+    fn cost(&self) -> u32 {
+        let bits = |numbers: &[u64]| numbers.iter().map(|n| u64::BITS - n.leading_zeros()).sum::<u32>();
+        bits(&self.pulses) + bits(&self.rests)
     }
 }
 
@@ -124,7 +125,7 @@ pub(super) fn try_put(
         let [with, without] = [pulse, ONE_PULSE].map(|pulse| {
             found.set_pulse(pulse);
             off.fill(found.model(), walk, found.labels(), &places[..few], values);
-            off.cost(pulse)
+            off.cost()
         });
         if with >= without {
             pulse = ONE_PULSE;

@@ -121,9 +121,10 @@ impl Run {
         let layout = &source.plan.layout;
         let record_bytes = layout.attributes.iter().map(|a| a.ty.size()).sum();
         let rows = segment.rows as usize;
+        let first = cube.first_key();
         let (mut keys, mut records) = (Vec::with_capacity(rows), Vec::with_capacity(rows * record_bytes));
         for row in bytes.chunks_exact(K::BYTES + layout.payload) {
-            keys.push(K::read(row).full(cube.first_key()));
+            keys.push(K::read(row).full(first));
             layout.canonical_bytes(&row[K::BYTES..], &mut records);
         }
         Ok(Self { scan, keys, records, record_bytes })

@@ -1,0 +1,163 @@
+//! `remove`, `replace`, `show`, `hide`, `compact` and `merge` as a user meets them, and what they leave alone.
+
+use crate::support::{Random, TinyLas, esker, esker_fails, esker_ok};
+use esker::ingest::{IngestOptions, LatticeWish, ingest};
+use esker::lattice::LatticePoint;
+use esker::store::Store;
+use std::fs;
+use std::time::{Duration, Instant};
+
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    /// Four overlapping generated scans, `site_1` to `site_4`, and a store of them.
+    fn site() -> Self {
+        let place = Self(tempfile::tempdir().unwrap());
+        esker_ok(&["generate", "site", "--points", "240k", "-o", &place.path("scans")]);
+        esker_ok(&["ingest", &place.path("s.esker"), &place.path("scans")]);
+        place
+    }
+}
+
+fn count(store: &str, more: &[&str]) -> u64 {
+    esker_ok(&[&["query", store, "--count"], more].concat()).trim().parse().unwrap()
+}
+
+#[test]
+fn hidden_scans_are_left_out_unless_they_are_named() {
+    let place = Place::site();
+    let store = place.path("s.esker");
+    let (all, one) = (count(&store, &[]), count(&store, &["--scan", "site_2"]));
+    let before = esker_ok(&["digest", &store]);
+    esker_ok(&["hide", &store, "site_2"]);
+    assert_eq!(count(&store, &[]), all - one);
+    assert_eq!(count(&store, &["--scan", "site_2"]), one);
+    assert!(esker_ok(&["scans", &store]).contains("site_2  (hidden)"));
+    assert_eq!(esker_ok(&["digest", &store]), before, "hiding touches no point");
+    assert!(esker_ok(&["hide", &store, "site_2"]).contains("nothing to do"));
+    esker_ok(&["show", &store, "site_2"]);
+    assert_eq!(count(&store, &[]), all);
+    for command in ["hide", "show", "remove"] {
+        esker_fails(&[command, &store, "site_"], 1, &["no scan 'site_'", "site_1"]);
+        esker_fails(&[command, &place.path("none.esker"), "x"], 1, &["none.esker"]);
+        esker_fails(&[command, &store], 2, &[]);
+    }
+    assert_eq!(esker_ok(&["digest", &store]), before);
+}
+
+#[test]
+fn a_scan_that_is_removed_or_replaced_leaves_no_trace() {
+    let place = Place::site();
+    let store = place.path("s.esker");
+    let scan = |i: u32| place.path(&format!("scans/site_{i}.las"));
+    let before = esker_ok(&["digest", &store]);
+    esker_ok(&["remove", &store, "site_3", "1"]);
+    let fresh = place.path("fresh.esker");
+    let inputs = [scan(2), scan(4), scan(5)];
+    let arguments: Vec<&str> =
+        ["ingest", &fresh, "--lattice", &store].into_iter().chain(inputs.iter().map(String::as_str)).collect();
+    esker_ok(&arguments);
+    assert_eq!(esker_ok(&["digest", &store]), esker_ok(&["digest", &fresh]));
+    // In the other scan's place, and back again.
+    esker_ok(&["replace", &store, "site_2", &scan(1)]);
+    assert!(esker_ok(&["scans", &store]).contains("site_2"), "the name stays");
+    esker_fails(&["replace", &store, "site_9", &scan(1)], 1, &["no scan 'site_9'"]);
+    esker_ok(&["remove", &store, "site_2"]);
+    esker_ok(&["ingest", &store, &scan(3), &scan(2), &scan(1)]);
+    assert_eq!(esker_ok(&["digest", &store]), before);
+    esker_ok(&["verify", &store, "--deep"]);
+}
+
+#[test]
+fn space_is_given_back() {
+    let place = Place::site();
+    let (store, fresh, copy) = (place.path("s.esker"), place.path("fresh.esker"), place.path("copy.esker"));
+    esker_ok(&["remove", &store, "site_1", "site_3"]);
+    esker_ok(&["compact", &store, "-o", &copy]);
+    esker_ok(&["compact", &store]);
+    let scans = [2, 4, 5].map(|i| place.path(&format!("scans/site_{i}.las")));
+    esker_ok(&["ingest", &fresh, "--lattice", &store, &scans[0], &scans[1], &scans[2]]);
+    let bytes = |path: &str| fs::metadata(path).unwrap().len() as f64;
+    assert!(bytes(&store) <= 1.05 * bytes(&fresh), "{} after, {} fresh", bytes(&store), bytes(&fresh));
+    assert!(bytes(&copy) <= 1.05 * bytes(&fresh), "{} in the copy, {} fresh", bytes(&copy), bytes(&fresh));
+    assert_eq!(esker_ok(&["digest", &copy]), esker_ok(&["digest", &fresh]));
+    esker_fails(&["compact", &store, "-o", &copy], 1, &["already"]);
+    assert!(!fs::exists(place.path("copy.esker.partial")).unwrap());
+}
+
+#[test]
+fn merge_refuses_what_is_not_alike_and_writes_over_nothing() {
+    let place = Place::site();
+    let (store, other, out) = (place.path("s.esker"), place.path("o.esker"), place.path("out.esker"));
+    esker_ok(&["ingest", &other, &place.path("scans/site_1.las"), "--quantum", "0.01"]);
+    esker_fails(&["merge", &out, &store, &other], 1, &["o.esker", "quantum", "--lattice"]);
+    assert!(!fs::exists(&out).unwrap());
+    esker_fails(&["merge", &store, &other], 1, &["already"]);
+    esker_ok(&["merge", &out, &store, &store]);
+    assert_eq!(esker_ok(&["digest", &out]), esker_ok(&["digest", &store]));
+}
+
+#[test]
+fn a_second_writer_is_told_or_waits() {
+    let place = Place::site();
+    let store = place.path("s.esker");
+    let writer = Store::open(&store).unwrap().writer().unwrap();
+    esker_fails(&["hide", &store, "site_1"], 1, &["s.esker", "in use"]);
+    let begun = Instant::now();
+    let waiting = std::thread::spawn({
+        let store = store.clone();
+        move || esker(&["hide", &store, "site_1", "--wait"])
+    });
+    std::thread::sleep(Duration::from_millis(400));
+    drop(writer);
+    let output = waiting.join().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(begun.elapsed() >= Duration::from_millis(400));
+}
+
+#[test]
+fn what_a_scan_does_not_touch_keeps_its_rows() {
+    let place = Place(tempfile::tempdir().unwrap());
+    let mut random = Random(99);
+    let mut file = |name: &str, points: u64, origin: i32, side: u64| {
+        let mut las = TinyLas::new(1);
+        for _ in 0..points {
+            las.push([0; 3].map(|_: i32| origin + random.below(side) as i32), random.next());
+        }
+        fs::write(place.path(name), las.bytes()).unwrap();
+        las.positions()
+    };
+    file("site.las", 20_000, 0, 1 << 12);
+    let added = file("patch.las", 300, 900, 120);
+    let options = IngestOptions {
+        lattice: LatticeWish { quantum: Some([0.01; 3]), phase: None },
+        g: 3,
+        leaf_capacity: 50,
+        ..IngestOptions::default()
+    };
+    let store = std::path::PathBuf::from(place.path("s.esker"));
+    ingest(&store, &[place.path("site.las").into()], &options, &()).unwrap();
+    let open = || Store::open(&store).unwrap().snapshot().unwrap();
+    let before = open();
+    let report = ingest(&store, &[place.path("patch.las").into()], &options, &()).unwrap();
+    assert!(report.chunks_written > 0, "the patch went into the tree that was there");
+    let after = open();
+    let (old, new) = (before.index().unwrap(), after.index().unwrap());
+    assert_eq!(old.root(0).map(|r| old.head(r).cube), new.root(0).map(|r| new.head(r).cube));
+    let bias = esker::lattice::BIAS as i64;
+    let at = |p: &[i32; 3]| LatticePoint(p.map(|v| (bias + i64::from(v)) as u64));
+    let mut kept = 0;
+    for head in old.heads() {
+        if added.iter().any(|p| head.cube.contains(at(p))) {
+            continue;
+        }
+        let now = new.find(0, head.cube).map(|n| new.head(n));
+        assert_eq!(now.map(|h| h.chunk_base), Some(head.chunk_base), "{:?} was written again", head.cube);
+        kept += 1;
+    }
+    assert!(kept * 10 > old.len() * 8, "{kept} of {} nodes", old.len());
+}

@@ -53,7 +53,8 @@ pub(super) struct Arguments {
     /// Take coordinates as they are though an input's CRS is not the site's.
     #[arg(long)]
     ignore_crs: bool,
-    /// The scan's name, for a single input (default: the file's name without its ending).
+    /// The scan's name, for a single input of one scan (default: what the file calls it, or the file's name without its
+    /// ending).
     #[arg(long)]
     name: Option<String>,
     /// Where the inputs stand: a file of poses, one for each input file in their order; may be given several times. A pose

@@ -4,7 +4,7 @@ use super::file::SourceFile;
 use super::las::{LasSource, quoted};
 use super::ply::PlySource;
 use super::text::{HEAD_BYTES, Shape, open_pts, open_ptx, open_rows, shape};
-use super::{FormatError, PointSource, e57, pcd, posed};
+use super::{FormatError, PointSource, e57, pcd, posed, read_poses};
 use crate::geometry::Pose;
 use std::path::{Path, PathBuf};
 
@@ -253,8 +253,8 @@ fn open_as(
 /// What a list of paths comes to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Inputs {
-    /// Files to read: those that were named, and those in directories whose ending is that of a readable format; of `.txt`,
-    /// `.csv` and `.asc` files there, those that begin like points.
+    /// Files to read: those that were named, and those in directories whose ending is that of a readable format; of text
+    /// files there, those that begin like points and are no poses.
     pub files: Vec<PathBuf>,
     /// Other files in those directories, and directories below them unless they were to be entered.
     pub skipped: Vec<PathBuf>,
@@ -301,12 +301,20 @@ fn list_directory(directory: &Path, recursive: bool, inputs: &mut Inputs) -> Res
     Ok(())
 }
 
+/// Is it a pose as a matrix? Beside scans there often is one, and four rows of four numbers look like points, too.
+fn is_matrix(path: &Path) -> bool {
+    let small = std::fs::metadata(path).is_ok_and(|m| m.len() <= HEAD_BYTES);
+    let text = if small { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+    let words = text.lines().map(|l| l.split_whitespace().count()).find(|&n| n > 0);
+    matches!(words, Some(4 | 16)) && read_poses(path).is_ok()
+}
+
 /// Is it a file of points by its name? Text may be anything, and is looked at.
 fn is_point_file(path: &Path) -> bool {
     match InputFormat::of_path(path) {
         Some(InputFormat::Text) => {
             let head = SourceFile::open(path).and_then(|f| f.read_vec(0, HEAD_BYTES));
-            head.is_ok_and(|head| shape(&head).is_some())
+            head.is_ok_and(|head| shape(&head).is_some()) && !is_matrix(path)
         }
         format => format.is_some(),
     }
@@ -368,10 +376,12 @@ mod tests {
         }
         std::fs::write(at("notes.txt"), "1 tripod, 2 targets").unwrap();
         std::fs::write(at("e.txt"), "1 2 3\n").unwrap();
+        // A pose beside the scans is none of them.
+        std::fs::write(at("pose.txt"), "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n").unwrap();
         let paths = [folder.path().to_owned(), at("notes.txt")];
         let flat = list_inputs(&paths, false).unwrap();
         assert_eq!(flat.files, ["a.las", "b.LAZ", "c.copc.laz", "e.txt", "notes.txt"].map(at));
-        assert_eq!(flat.skipped, ["below", "notes.txt"].map(at));
+        assert_eq!(flat.skipped, ["below", "notes.txt", "pose.txt"].map(at));
         let deep = list_inputs(&paths[..1], true).unwrap();
         assert_eq!(deep.files, ["a.las", "b.LAZ", "below/d.ply", "c.copc.laz", "e.txt"].map(at));
         assert!(list_inputs(&[at("none")], false).is_err());

@@ -44,7 +44,7 @@ pub struct ScanReport {
     pub stored: u64,
     /// Records that were not stored.
     pub rejected: u64,
-    /// Of those: coordinates that are NaN or infinite.
+    /// Of those: no valid position, because a coordinate is NaN or infinite or the scanner marked it as no measurement.
     pub rejected_not_finite: u64,
     /// Of those: coordinates outside the lattice.
     pub rejected_out_of_range: u64,

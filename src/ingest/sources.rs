@@ -12,6 +12,9 @@ use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
 
+/// More points than this are announced by no file but a damaged one; counts of a scan have to fit an `i64`.
+const MOST_POINTS: u64 = 1 << 60;
+
 /// A source that will become a scan.
 pub(super) struct Source {
     pub reader: Box<dyn PointSource>,
@@ -94,6 +97,11 @@ pub(super) fn open(
         let several = readers.len() > 1;
         for reader in readers {
             let info = reader.info();
+            if info.records.saturating_add(info.missing) > MOST_POINTS {
+                let found = info.records.saturating_add(info.missing).to_string();
+                let expected = "a header with a count of points that can be".to_owned();
+                return Err(formats::FormatError::Malformed { path, offset: 0, expected, found }.into());
+            }
             if options.strict && info.missing > 0 {
                 return Err(IngestError::Truncated { path, missing: info.missing });
             }

@@ -48,7 +48,7 @@ pub struct Site {
 /// How many records of a scan were not stored, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rejected {
-    /// A coordinate was NaN or infinite.
+    /// A coordinate was NaN or infinite, or the scanner marked it as no measurement.
     pub not_finite: u64,
     /// A coordinate was outside the lattice.
     pub out_of_range: u64,

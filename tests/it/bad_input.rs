@@ -319,3 +319,18 @@ fn a_closed_pipe_ends_quietly() {
     assert!(!stderr.contains("panicked"), "{stderr}");
     std::io::stdout().flush().unwrap();
 }
+
+#[test]
+fn a_count_of_points_that_cannot_be_is_refused_with_its_file() {
+    let place = Place::new();
+    let store = place.path("s.esker");
+    let pcd =
+        "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 18446744073709551615\nHEIGHT 1\nDATA ascii\n1 2 3\n";
+    let ptx = "4294967295\n4294967295\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n1 2 3 0.5\n";
+    let ply = "ply\nformat ascii 1.0\nelement vertex 18446744073709551615\nproperty int x\nproperty int y\nproperty int z\nend_header\n1 2 3\n";
+    for (name, text) in [("a.pcd", pcd), ("a.pts", "9999999999999999999\n1 2 3\n"), ("a.ptx", ptx), ("a.ply", ply)] {
+        let file = place.write(name, text.as_bytes());
+        esker_fails(&["ingest", &store, &file], 1, &[name, "expected a header with a count of points that can be"]);
+        place.nothing_there("s.esker");
+    }
+}

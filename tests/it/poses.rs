@@ -140,6 +140,7 @@ fn poses_are_one_each_and_rigid() {
     let store = path("s.esker");
     let both = ["ingest", &store, &path("a.xyz"), &path("b.xyz"), "--pose"];
     esker_fails(&[&both[..], &[&path("one.txt")]].concat(), 1, &["1 poses are given for 2 files"]);
+    esker_fails(&["ingest", &store, &path("a.xyz"), "--columns", "x,y"], 2, &["x, y and z are needed"]);
     esker_fails(&[&both[..], &[&path("flat.txt")]].concat(), 1, &["flat.txt: at byte 0", "the matrix is singular"]);
     esker_ok(&[&both[..], &[&path("one.txt"), "--pose", &path("moved.txt")]].concat());
     // The same again is skipped; the same elsewhere is another matter.

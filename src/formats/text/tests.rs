@@ -220,6 +220,9 @@ fn rows_that_lack_words_have_nan_there() {
     let all = opened("a.txt", "1 2 3 4 5\n1 2 3\n1 2 3 6 7\n");
     assert!(matches!(column(&*all[0], "column4"), Column::F32(v) if v[0] == 4.0 && v[1].is_nan() && v[2] == 6.0));
     assert!(all[0].info().warnings.iter().any(|w| w.contains("rows have 3 to 5 columns")));
+    // Also where whole numbers are customary: zero would be a class.
+    let all = opened("a.csv", "x,y,z,Classification\n1,2,3,2\n4,5,6,\n");
+    assert!(matches!(column(&*all[0], "Classification"), Column::F32(v) if v[0] == 2.0 && v[1].is_nan()));
 }
 
 /// Large enough for several chunks: 200,000 rows.

@@ -65,7 +65,7 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// Another writer has it, in this or another process.
-    #[error("{path}: is being written by another process{owner}; wait until it is finished")]
+    #[error("{path}: is being written by another process{owner}; wait until it is finished, or give --wait")]
     InUse {
         /// The store.
         path: PathBuf,

@@ -226,8 +226,8 @@ mod tests {
                 let mut other = Relative::default();
                 other.fill(cube, &low_keys);
                 prop_assert_eq!(other.shape(), shape);
-                let mut other = Relative::default();
-                other.wide = relative.narrow.each_ref().map(|axis| axis.iter().map(|&v| v.into()).collect());
+                let wide = relative.narrow.each_ref().map(|axis| axis.iter().map(|&v| v.into()).collect());
+                let mut other = Relative { wide, ..Relative::default() };
                 prop_assert_eq!(relative.sums().two, other.sums().two);
                 prop_assert_eq!((other.shape(), other.bounds(cube)), (shape, relative.bounds(cube)));
             }

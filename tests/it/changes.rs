@@ -106,7 +106,7 @@ fn a_second_writer_is_told_or_waits() {
     let place = Place::site();
     let store = place.path("s.esker");
     let writer = Store::open(&store).unwrap().writer().unwrap();
-    esker_fails(&["hide", &store, "site_1"], 1, &["s.esker", "in use"]);
+    esker_fails(&["hide", &store, "site_1"], 1, &["s.esker", "another process", "--wait"]);
     let begun = Instant::now();
     let waiting = std::thread::spawn({
         let store = store.clone();
@@ -148,7 +148,7 @@ fn what_a_scan_does_not_touch_keeps_its_rows() {
     let after = open();
     let (old, new) = (before.index().unwrap(), after.index().unwrap());
     assert_eq!(old.root(0).map(|r| old.head(r).cube), new.root(0).map(|r| new.head(r).cube));
-    let bias = esker::lattice::BIAS as i64;
+    let bias = esker::lattice::BIAS;
     let at = |p: &[i32; 3]| LatticePoint(p.map(|v| (bias + i64::from(v)) as u64));
     let mut kept = 0;
     for head in old.heads() {

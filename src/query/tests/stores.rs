@@ -132,8 +132,8 @@ pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> T
                 scans: own.iter().map(|p| p.scan).collect(),
                 columns: vec![
                     (class, Column::U8(own.iter().map(|p| p.class).collect())),
-                    (height, Column::I16(own.iter().map(|p| p.height.unwrap_or(0)).collect())),
                     (id, Column::U32(own.iter().map(|p| p.id).collect())),
+                    (height, Column::I16(own.iter().map(|p| p.height.unwrap_or(0)).collect())),
                 ],
             };
             let layer = layer as u16;

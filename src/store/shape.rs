@@ -227,7 +227,7 @@ mod tests {
                 other.fill(cube, &low_keys);
                 prop_assert_eq!(other.shape(), shape);
                 let wide = relative.narrow.each_ref().map(|axis| axis.iter().map(|&v| v.into()).collect());
-                let mut other = Relative { wide, ..Relative::default() };
+                let other = Relative { wide, ..Relative::default() };
                 prop_assert_eq!(relative.sums().two, other.sums().two);
                 prop_assert_eq!((other.shape(), other.bounds(cube)), (shape, relative.bounds(cube)));
             }

@@ -19,13 +19,13 @@ type Meaning = fn(&Point) -> bool;
 const FILTERS: &[(&str, Meaning)] = &[
     ("", |_| true),
     ("Classification = 2", |p| p.class == 2),
-    ("class in (0, 3) and not id < 20", |p| (p.class == 0 || p.class == 3) && p.id >= 20),
+    ("class in (0, 3) and not code < 20", |p| (p.class == 0 || p.class == 3) && p.id >= 20),
     ("height > 0", |p| p.height.is_some_and(|h| h > 0)),
     ("height is null or scan <> 'north'", |_| true),
     ("scan = 'roof' and height <= -2", |p| p.height.is_some_and(|h| h <= -2)),
     ("class = 9", |p| p.class == 9),
     ("X >= 0 and Y < 2.5", |p| p.at().0[0] >= BIAS as u64 && p.at().0[1] < BIAS as u64 + 10),
-    ("id = 3 or id between 10 and 12", |p| p.id == 3 || (10..=12).contains(&p.id)),
+    ("code = 3 or code between 10 and 12", |p| p.id == 3 || (10..=12).contains(&p.id)),
 ];
 
 /// What a test asks for.
@@ -102,7 +102,7 @@ impl Asked {
 
 /// The points of a batch, with every column compared on the way.
 fn points(batch: &Batch) -> Vec<Point> {
-    let [Column::U8(class), Column::I16(height), Column::U32(id)] = batch.columns.as_slice() else {
+    let [Column::U8(class), Column::U32(id), Column::I16(height)] = batch.columns.as_slice() else {
         assert!(batch.is_empty(), "{:?}", batch.attributes);
         return Vec::new();
     };

@@ -166,3 +166,32 @@ fn merged_shards_are_the_store_of_all_their_scans() {
         assert!(!at("n.esker").exists());
     }
 }
+
+#[test]
+fn many_layers_become_few_and_stay_the_same_store() {
+    let mut random = Random(31);
+    let folder = tempfile::tempdir().unwrap();
+    let files: Vec<PathBuf> = (0..14_u64)
+        .map(|i| {
+            let mut las = TinyLas::new((i % 4) as u8);
+            for _ in 0..90 + 10 * i {
+                las.push([0; 3].map(|_: i32| random.below(500) as i32), random.next());
+            }
+            let path = folder.path().join(format!("f{i}.las"));
+            std::fs::write(&path, las.bytes()).unwrap();
+            path
+        })
+        .collect();
+    let (store, fresh) = (folder.path().join("s.esker"), folder.path().join("fresh.esker"));
+    let mut most = 0;
+    for file in &files {
+        // With so little memory every scan is built as a layer.
+        ingest(&store, std::slice::from_ref(file), &options(Some(16 << 10)), &()).unwrap();
+        let layers = Store::open(&store).unwrap().snapshot().unwrap().site().roots.iter().flatten().count();
+        most = most.max(layers);
+        assert!(layers <= 8, "{layers} layers");
+    }
+    assert_eq!(most, 8, "layers were never folded");
+    ingest(&fresh, &files, &options(None), &()).unwrap();
+    assert_eq!(checked(&store, "layers"), checked(&fresh, "fresh"));
+}

@@ -27,6 +27,8 @@ struct Block {
     records: Vec<u8>,
     /// Where each record begins, and the end of the last.
     starts: Vec<u32>,
+    /// The points in canonical order.
+    order: Vec<u32>,
 }
 
 impl Blocks {
@@ -117,6 +119,7 @@ impl<'a> Stored<'a> {
             block.append(&decode_part(self.snapshot, head, part, &mut decoder)?, self.scans)?;
         }
         block.starts.push(block.records.len() as u32);
+        block.sort();
         // Another thread may have been faster; it has read the same.
         Ok(cell.get_or_init(|| block))
     }
@@ -126,10 +129,7 @@ impl<'a> Stored<'a> {
         if self.index.head(node).own_points == 0 {
             return Ok(Vec::new());
         }
-        let mut points = self.block(node)?.points();
-        // Parts are in order each; a stable sort merges them.
-        points.sort();
-        Ok(points)
+        Ok(self.block(node)?.points())
     }
 
     /// The keys of the points that a node stores, ascending.
@@ -176,12 +176,22 @@ impl Block {
         Ok(())
     }
 
+    fn point(&self, i: u32) -> Point<'_> {
+        let i = i as usize;
+        let record = &self.records[self.starts[i] as usize..self.starts[i + 1] as usize];
+        Point { key: self.keys[i], record, scan: self.scans[i] }
+    }
+
+    /// Done where the node is read, on all threads: changes of the tree come one after the other.
+    fn sort(&mut self) {
+        let mut order: Vec<u32> = (0..).take(self.keys.len()).collect();
+        // Parts are in order each; a stable sort merges them.
+        order.sort_by(|&a, &b| self.point(a).cmp(&self.point(b)));
+        self.order = order;
+    }
+
     fn points(&self) -> Vec<Point<'_>> {
-        let point = |(i, &key)| {
-            let record = &self.records[self.starts[i] as usize..self.starts[i + 1] as usize];
-            Point { key, record, scan: self.scans[i] }
-        };
-        self.keys.iter().enumerate().map(point).collect()
+        self.order.iter().map(|&i| self.point(i)).collect()
     }
 }
 

@@ -212,6 +212,8 @@ pub fn compact(
     let bytes_before = file_bytes(path);
     let copied = Context::run(path, resources, progress, |context| {
         let (_, writer) = opened(context, Store::open(path)?)?;
+        // What a run that was cut off has left.
+        remove_store(&unfinished);
         writer.copy_to(&unfinished)?;
         Ok(())
     })

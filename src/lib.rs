@@ -12,6 +12,8 @@ pub mod query;
 #[cfg(feature = "render")]
 pub mod render;
 pub mod store;
+#[cfg(feature = "stream")]
+pub mod stream;
 
 #[cfg(feature = "cli")]
 pub mod cli;

@@ -16,12 +16,14 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("generate", &["formats", "points", "lattice", "geometry"]),
     ("ingest", &["store", "formats", "codec", "octree", "points", "lattice", "geometry"]),
     ("query", &["store", "codec", "octree", "points", "lattice", "geometry"]),
-    ("render", &["points", "lattice", "geometry"]),
+    ("stream", &["query", "store", "codec", "octree", "points", "lattice", "geometry"]),
+    ("render", &["stream", "points", "lattice", "geometry"]),
+    ("viewer", &["render", "stream", "query", "store", "codec", "octree", "points", "lattice", "geometry"]),
     (
         "cli",
         &[
             "geometry", "lattice", "points", "codec", "octree", "store", "formats", "generate", "ingest", "query",
-            "render",
+            "render", "stream", "viewer",
         ],
     ),
 ];
@@ -30,7 +32,13 @@ const FLOORS: &[(&str, &[&str])] = &[
 const OWNERS: &[(&str, &[&str])] = &[
     ("rusqlite", &["store"]),
     ("zstd", &["codec"]),
-    ("wgpu", &["render"]),
+    ("tokio", &["stream"]),
+    // The window's surface is the viewer's; it is drawn by `render`.
+    ("wgpu", &["render", "viewer"]),
+    ("egui", &["viewer"]),
+    ("egui_wgpu", &["viewer"]),
+    ("egui_winit", &["viewer"]),
+    ("winit", &["viewer"]),
     ("las", &["formats"]),
     ("laz", &["formats"]),
     ("e57", &["formats"]),

@@ -1,4 +1,4 @@
-// Background and eye-dome lighting: a pixel gets darker the more its neighbours are nearer to the eye. Twin on the CPU:
+// Background, eye-dome lighting and fog: a pixel gets darker the more its neighbours are nearer to the eye. Twin on the CPU:
 // `reference::shade`.
 //
 // The depth difference to a neighbour is taken relative to the sideways distance (a slope): in perspective through the
@@ -63,20 +63,15 @@ fn byte(c: vec4<f32>) -> vec4<f32> {
     return floor(clamp(c, vec4<f32>(0.0), vec4<f32>(1.0)) * 255.0 + 0.5) / 255.0;
 }
 
-@fragment
-fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    let pixel = vec2<i32>(position.xy);
-    let depth = textureLoad(depths, pixel, 0);
-    if (depth <= 0.0) {
-        return byte(mix(frame.background_top, frame.background_bottom, position.y / frame.image_px.y));
-    }
-    let texel = textureLoad(colors, pixel, 0);
-    let color = texel.rgb;
+fn background(y: f32) -> vec4<f32> {
+    return mix(frame.background_top, frame.background_bottom, y / frame.image_px.y);
+}
+
+// 1 where nothing is nearer beside the pixel, towards 0 where much is.
+fn light_at(pixel: vec2<i32>, own: f32, splat_radius_px: f32) -> f32 {
     if (frame.edl_strength <= 0.0) {
-        return vec4<f32>(color, 1.0);
+        return 1.0;
     }
-    let own = past_front(depth);
-    let splat_radius_px = floor(texel.a * 255.0 + 0.5) / 2.0;
     let reach_px = max(frame.edl_radius_px, BEYOND_SPLAT * splat_radius_px);
     let s = i32(floor(reach_px + 0.5));
     let d = i32(floor(reach_px * 0.70710678 + 0.5));
@@ -84,9 +79,43 @@ fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
     sum += occlusion(own, pixel, vec2<i32>(0, s)) + occlusion(own, pixel, vec2<i32>(0, -s));
     sum += occlusion(own, pixel, vec2<i32>(d, d)) + occlusion(own, pixel, vec2<i32>(-d, d));
     sum += occlusion(own, pixel, vec2<i32>(d, -d)) + occlusion(own, pixel, vec2<i32>(-d, -d));
-    if (sum <= 0.0) {
-        return vec4<f32>(color, 1.0);
+    return exp(-frame.edl_strength * sum / 8.0);
+}
+
+// How much of a point's own colour the fog leaves.
+fn clearness_at(own: f32) -> f32 {
+    if (frame.fog_half <= 0.0) {
+        return 1.0;
     }
-    let light = exp(-frame.edl_strength * sum / 8.0);
-    return byte(vec4<f32>(srgb_from_linear(linear_from_srgb(color) * light), 1.0));
+    return exp2(-max(own + frame.front_depth - frame.fog_start, 0.0) / frame.fog_half);
+}
+
+fn shaded(position: vec4<f32>) -> vec4<f32> {
+    let pixel = vec2<i32>(position.xy);
+    let depth = textureLoad(depths, pixel, 0);
+    if (depth <= 0.0) {
+        return byte(background(position.y));
+    }
+    let texel = textureLoad(colors, pixel, 0);
+    let own = past_front(depth);
+    let light = light_at(pixel, own, floor(texel.a * 255.0 + 0.5) / 2.0);
+    let clearness = clearness_at(own);
+    if (light >= 1.0 && clearness >= 1.0) {
+        return vec4<f32>(texel.rgb, 1.0);
+    }
+    let fog = select(background(position.y).rgb, frame.fog_color.rgb, frame.fog_color.w > 0.0);
+    let color = mix(linear_from_srgb(fog), linear_from_srgb(texel.rgb) * light, clearness);
+    return byte(vec4<f32>(srgb_from_linear(color), 1.0));
+}
+
+@fragment
+fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    return shaded(position);
+}
+
+// For a target that codes what it is given.
+@fragment
+fn fragment_linear(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let coded = shaded(position);
+    return vec4<f32>(linear_from_srgb(coded.rgb), coded.a);
 }

@@ -52,8 +52,25 @@ pub enum RenderError {
         expected: &'static str,
     },
     /// No such way to colour.
-    #[error("no color mode {0:?}; there are rgb, intensity, height, class, return and scan")]
+    #[error("no color mode {0:?}; there are {modes}", modes = super::ColorMode::words())]
     UnknownColor(String),
+    /// No such splat.
+    #[error("no shape {0:?}; there are round, square and paraboloid")]
+    UnknownShape(String),
+    /// More than the passes hold.
+    #[error("{count} clip boxes; there can be {limit}", limit = super::MAX_CLIPS)]
+    TooManyClips {
+        /// How many were given.
+        count: usize,
+    },
+    /// The pool is as full as it may be.
+    #[error("the graphics pool has {free} free blocks, but {wanted} are wanted")]
+    PoolFull {
+        /// How many were asked for.
+        wanted: usize,
+        /// How many there are.
+        free: usize,
+    },
     /// The points lack what the colour mode shows.
     #[error("color mode {mode} needs the attribute {attribute}, which the points don't have")]
     NoAttribute {

@@ -1,8 +1,8 @@
 //! One picture's camera in the numbers that drawing needs, in `f64`: shared by the passes and the reference renderer.
 
-use super::{RenderError, RenderOptions, Scene};
+use super::{RenderError, RenderOptions};
 use crate::geometry::{Camera, DVec3, Projection};
-use crate::lattice::LatticeBox;
+use crate::lattice::{Lattice, LatticeBox, LatticePoint};
 use glam::DMat3;
 
 /// No nearer than this in any unit: keeps the depth a normal `f32`.
@@ -29,15 +29,32 @@ pub(super) struct Frame {
     /// 0 without eye-dome lighting.
     pub edl_strength: f32,
     pub edl_radius_px: f32,
+    /// Those to keep first.
+    pub clips: Vec<ViewClip>,
+}
+
+/// A clip box in view coordinates: a point is inside if `unit_from_view * view + offset` is from -1 to 1 on all axes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ViewClip {
+    pub unit_from_view: DMat3,
+    pub offset: DVec3,
+    pub keep: bool,
 }
 
 impl Frame {
+    /// `bounds` hold everything that is drawn; the depth begins there.
+    ///
     /// # Errors
     ///
-    /// As [`RenderOptions::check`] and [`Scene::check`]; [`RenderError::Size`] for sides of 0 or above `limit`.
-    pub fn new(scene: &Scene, camera: &Camera, options: &RenderOptions, limit: u32) -> Result<Self, RenderError> {
+    /// As [`RenderOptions::check`]; [`RenderError::Size`] for sides of 0 or above `limit`.
+    pub fn new(
+        lattice: &Lattice,
+        bounds: impl Iterator<Item = LatticeBox>,
+        camera: &Camera,
+        options: &RenderOptions,
+        limit: u32,
+    ) -> Result<Self, RenderError> {
         options.check()?;
-        scene.check()?;
         let size_px = camera.size_px();
         let [width, height] = size_px;
         if size_px.iter().any(|side| !(1..=limit).contains(side)) {
@@ -51,6 +68,11 @@ impl Frame {
             Projection::Orthographic { height: seen } => (height / seen, false),
         };
         let near = if perspective { camera.near().max(LEAST_NEAR) } else { camera.near() };
+        let clip = |keep: bool| options.clips.iter().filter(move |clip| clip.keeps() == keep);
+        let clips = clip(true).chain(clip(false)).map(|clip| {
+            let (unit_from_view, offset) = clip.unit_from_view(camera.eye(), view_from_relative);
+            ViewClip { unit_from_view, offset, keep: clip.keeps() }
+        });
         let mut frame = Self {
             eye: camera.eye(),
             view_from_relative,
@@ -65,8 +87,9 @@ impl Frame {
             max_radius_px: options.min_radius_px.max(options.max_radius_of_height * height),
             edl_strength: options.edl.map_or(0.0, |edl| edl.strength),
             edl_radius_px: options.edl.map_or(1.0, |edl| edl.radius_px),
+            clips: clips.collect(),
         };
-        frame.fit_depth(scene);
+        frame.fit_depth(lattice, bounds);
         Ok(frame)
     }
 
@@ -75,16 +98,31 @@ impl Frame {
         self.view_from_relative * (DVec3::from_array(world) - self.eye)
     }
 
+    /// Do the clip boxes leave the point at these view coordinates?
+    pub fn keeps(&self, view: DVec3) -> bool {
+        let inside = |clip: &&ViewClip| {
+            let unit = clip.unit_from_view * view + clip.offset;
+            unit.abs().cmple(DVec3::ONE).all()
+        };
+        let (keep, cut) = self.clips.split_at(self.clips.iter().filter(|clip| clip.keep).count());
+        (keep.is_empty() || keep.iter().any(|c| inside(&c))) && !cut.iter().any(|c| inside(&c))
+    }
+
+    /// Reversed depth, 1 at the front and before it.
+    pub fn reversed(&self, depth: f64) -> f32 {
+        (self.depth_scale / (self.depth_scale + (depth - self.front))).clamp(0.0, 1.0) as f32
+    }
+
     /// Begins the depth at the scene, and spreads it over the scene's extent.
     ///
     /// `f32` resolves `depth_scale / (depth_scale + x)` to about `6e-8 * (depth_scale + x)`. With the scale at the front's own
     /// depth this is the usual reversed depth, near / depth; if the scene is much further away than it is deep, its
     /// extent is the better scale.
-    fn fit_depth(&mut self, scene: &Scene) {
+    fn fit_depth(&mut self, lattice: &Lattice, bounds: impl Iterator<Item = LatticeBox>) {
         let (mut nearest, mut farthest) = (f64::INFINITY, f64::NEG_INFINITY);
-        for bounds in scene.nodes.iter().filter_map(|node| node.bounds()) {
+        for bounds in bounds {
             for corner in corners(&bounds) {
-                let depth = self.view_from_world(scene.lattice.world_from_lattice(corner)).z;
+                let depth = self.view_from_world(lattice.world_from_lattice(corner)).z;
                 nearest = nearest.min(depth);
                 farthest = farthest.max(depth);
             }
@@ -104,7 +142,7 @@ impl Frame {
     }
 }
 
-fn corners(bounds: &LatticeBox) -> impl Iterator<Item = crate::lattice::LatticePoint> {
+pub(super) fn corners(bounds: &LatticeBox) -> impl Iterator<Item = LatticePoint> {
     let ends = [bounds.min.0, bounds.max.0];
-    (0..8).map(move |corner| crate::lattice::LatticePoint(std::array::from_fn(|i| ends[corner >> i & 1][i])))
+    (0..8).map(move |corner| LatticePoint(std::array::from_fn(|i| ends[corner >> i & 1][i])))
 }

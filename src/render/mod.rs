@@ -25,7 +25,7 @@
 //! let lattice = Lattice::uniform(0.001)?;
 //! let positions = [lattice.lattice_from_world([500_000.0, 5_000_000.0, 120.0])?].into_iter().collect();
 //! let nodes = vec![RenderNode { spacing: 0.05, positions, colors: vec![[200, 100, 50, 255]] }];
-//! let scene = Scene { lattice, nodes };
+//! let scene = Scene { lattice, nodes, boxes: Vec::new() };
 //! let camera = Camera::new(
 //!     DVec3::new(500_000.0, 4_999_999.0, 120.0),
 //!     DVec3::new(500_000.0, 5_000_000.0, 120.0),
@@ -38,23 +38,38 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod canvas;
+mod clip;
 mod color;
+mod cut;
 mod error;
 mod frame;
 mod gpu_types;
 mod image;
+mod lines;
+mod list;
 mod options;
 mod pack;
 mod passes;
+mod pick;
+mod pool;
+mod read_back;
 pub mod reference;
 mod renderer;
 mod scene;
 
-pub use color::{ColorDepths, ColorMode, ColorOptions, Colored, colors};
+pub use canvas::Canvas;
+pub use clip::{ClipBox, MAX_CLIPS};
+pub use color::{
+    ColorDepths, ColorMode, ColorOptions, Colored, Coloring, Legend, LegendEntry, LegendKey, NO_VALUE, Palette,
+    ValuePaint, colors,
+};
 pub use error::RenderError;
 pub use image::Image;
-pub use options::{Background, Edl, RenderOptions};
-pub use renderer::Renderer;
+pub use options::{Background, Edl, Fog, RenderOptions, Shape};
+pub use pick::{PickRequest, Picked};
+pub use pool::{GpuPool, PoolPoints};
+pub use renderer::{Renderer, View};
 pub use scene::{RenderNode, Scene, SelectedPoints};
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! How a scene is to look.
 
-use super::RenderError;
+use super::{ClipBox, MAX_CLIPS, RenderError};
+use std::str::FromStr;
 
 /// What is where no point is: sRGB-coded bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,11 +50,60 @@ impl Default for Edl {
     }
 }
 
-/// How a scene is drawn; the image's size is the camera's.
+/// The outline and the relief of a splat.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shape {
+    /// A disc that faces the eye, all of it at the point's depth.
+    #[default]
+    Round,
+    /// A square around that disc.
+    Square,
+    /// The disc bent away from the eye towards its rim, by its radius: where splats overlap the nearer centre wins, so
+    /// that each point has the pixels around it (Schütz and Wimmer, 2015).
+    Paraboloid,
+}
+
+impl Shape {
+    /// All shapes.
+    pub const ALL: [Self; 3] = [Self::Round, Self::Square, Self::Paraboloid];
+
+    /// The word on the command line.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Round => "round",
+            Self::Square => "square",
+            Self::Paraboloid => "paraboloid",
+        }
+    }
+}
+
+impl FromStr for Shape {
+    type Err = RenderError;
+
+    fn from_str(word: &str) -> Result<Self, RenderError> {
+        let folded = word.to_ascii_lowercase();
+        Self::ALL.into_iter().find(|s| s.word() == folded).ok_or_else(|| RenderError::UnknownShape(word.into()))
+    }
+}
+
+/// Haze: colours go over to another with the depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fog {
+    /// To which, sRGB-coded; `None`: the background behind the pixel.
+    pub color: Option<[u8; 3]>,
+    /// Up to this depth, in CRS units, there is none.
+    pub start: f64,
+    /// Over this length, in CRS units, the rest of the point's colour is halved.
+    pub half: f64,
+}
+
+/// How a scene is drawn; the image's size is the camera's.
+#[derive(Clone, Debug, PartialEq)]
 pub struct RenderOptions {
     /// What is where no point is.
     pub background: Background,
+    /// What a point looks like.
+    pub shape: Shape,
     /// A splat's radius relative to its node's spacing. Points on a square grid leave no hole from 0.71 up.
     pub radius_factor: f64,
     /// The least radius of a splat, in pixels; not below 0.5, a diameter of one pixel.
@@ -63,16 +113,31 @@ pub struct RenderOptions {
     pub max_radius_of_height: f64,
     /// Shading; `None` shows the colours as they are.
     pub edl: Option<Edl>,
+    /// Haze; `None`: the air is clear.
+    pub fog: Option<Fog>,
+    /// Point shadows: each point has a black disc behind it that is so many pixels wider all round, as far behind as it
+    /// is wide (Lenertz 2014, 2.5.1). So surfaces stay as they are, and what stands before another is outlined. 0: none.
+    pub shadow_px: f64,
+    /// What is drawn: the points inside any of the boxes to keep, if there are any, and in none of those to cut out. At
+    /// most [`MAX_CLIPS`].
+    pub clips: Vec<ClipBox>,
+    /// Draw the cubes of the nodes, too: to see what a selection is made of.
+    pub node_boxes: bool,
 }
 
 impl Default for RenderOptions {
     fn default() -> Self {
         Self {
             background: Background::default(),
+            shape: Shape::default(),
             radius_factor: 0.75,
             min_radius_px: 0.5,
             max_radius_of_height: 0.125,
             edl: Some(Edl::default()),
+            fog: None,
+            shadow_px: 0.0,
+            clips: Vec::new(),
+            node_boxes: false,
         }
     }
 }
@@ -82,13 +147,20 @@ impl RenderOptions {
     ///
     /// [`RenderError::Number`] for what is not a number, negative or absurdly large.
     pub(super) fn check(&self) -> Result<(), RenderError> {
+        if self.clips.len() > MAX_CLIPS {
+            return Err(RenderError::TooManyClips { count: self.clips.len() });
+        }
         let edl = self.edl.unwrap_or_default();
+        let fog = self.fog.unwrap_or(Fog { color: None, start: 0.0, half: 1.0 });
         let numbers = [
             ("the splats' radius factor", self.radius_factor, 0.0, 1e6, "from 0 to 1e6"),
             ("the least radius of a splat", self.min_radius_px, 0.5, 1e4, "from 0.5 to 1e4 pixels"),
             ("the greatest radius of a splat", self.max_radius_of_height, 0.0, 1.0, "from 0 to 1 image heights"),
             ("the strength of eye-dome lighting", f64::from(edl.strength), 0.0, 1e6, "from 0 to 1e6"),
             ("the radius of eye-dome lighting", f64::from(edl.radius_px), 1.0, 1e3, "from 1 to 1000 pixels"),
+            ("the start of the fog", fog.start, 0.0, 1e15, "from 0 to 1e15"),
+            ("the half depth of the fog", fog.half, 1e-12, 1e15, "from 1e-12 to 1e15"),
+            ("the width of point shadows", self.shadow_px, 0.0, 100.0, "from 0 to 100 pixels"),
         ];
         for (name, value, least, greatest, expected) in numbers {
             if !(least..=greatest).contains(&value) {

@@ -1,19 +1,22 @@
-//! A scene as pages of 16-byte points, each page small enough for one storage buffer.
+//! Points as the passes have them: blocks of packed points, and scenes cut into pages of such blocks.
 //!
-//! A block is a run of a node's points in a box of at most 2^32 steps a side: positions are offsets from the box's low
-//! corner, so nothing is rounded, however large the node. Runs keep the drawing order.
+//! A scene's block is a run of a node's points in a box of at most 2^32 steps a side: positions are offsets from the
+//! box's low corner, so nothing is rounded, however large the node. Runs keep the drawing order.
 
 use super::frame::Frame;
-use super::gpu_types::{GpuBlock, GpuPoint};
+use super::gpu_types::{GpuBlock, GpuNode};
 use super::{RenderNode, Scene};
 use crate::geometry::DVec3;
 use crate::lattice::{Lattice, LatticePoint};
+use crate::stream::gpu::PackedPoint;
 
 /// Points and blocks that are uploaded and drawn together.
 #[derive(Debug, Default)]
 pub(super) struct Page {
-    pub points: Vec<GpuPoint>,
+    pub points: Vec<PackedPoint>,
     pub blocks: Vec<GpuBlock>,
+    /// One for each spacing that the page has.
+    pub nodes: Vec<GpuNode>,
     /// Points of each block.
     pub counts: Vec<u32>,
 }
@@ -32,6 +35,8 @@ pub(super) fn for_each_page<E>(
     mut draw: impl FnMut(&Page) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut page = Page::default();
+    // 0 is nobody's.
+    let mut next_id = 1_u32;
     for node in &scene.nodes {
         let mut start = 0;
         while start < node.positions.len() {
@@ -41,13 +46,70 @@ pub(super) fn for_each_page<E>(
             }
             let room = page_points - page.points.len();
             let run = Run::starting_at(node, start, room);
-            page.blocks.push(run.block(&scene.lattice, frame, node.spacing * radius_factor));
+            let gpu_node = GpuNode { radius: (node.spacing * radius_factor) as f32, children: 0 };
+            if page.nodes.last() != Some(&gpu_node) {
+                page.nodes.push(gpu_node);
+            }
+            let mut block = PlacedBox { low: run.corner, side: run.side(), step_scale: 1 }.block(&scene.lattice, frame);
+            block.node = (page.nodes.len() - 1) as u32;
+            block.first_point = page.points.len() as u32;
+            block.first_id = next_id;
+            page.blocks.push(block);
             page.counts.push(run.points as u32);
             page.points.extend((start..start + run.points).map(|i| run.packed(node, i)));
             start += run.points;
+            next_id = next_id.wrapping_add(run.points as u32);
         }
     }
     if page.points.is_empty() { Ok(()) } else { draw(&page) }
+}
+
+/// A box of steps on the lattice.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PlacedBox {
+    pub low: [u64; 3],
+    /// In lattice steps.
+    pub side: [u64; 3],
+    /// Lattice steps that a step of the packed points stands for.
+    pub step_scale: u64,
+}
+
+impl PlacedBox {
+    /// The block's place, as the eye sees it.
+    ///
+    /// The anchor is the step of the box that is nearest to the eye (in an orthographic view: to the line of sight,
+    /// beside the box's middle), since what is seen large is near there, and f32 is fine near there.
+    pub fn block(&self, lattice: &Lattice, frame: &Frame) -> GpuBlock {
+        let world_corner = lattice.world_from_lattice(LatticePoint(self.low));
+        let quantum = lattice.quantum_f64();
+        let side: [f64; 3] = self.side.map(|side| side as f64);
+        let scale = self.step_scale as f64;
+        // From the eye to the corner: the difference of two f64 coordinates, formed before anything is scaled.
+        let to_corner = DVec3::from_array(world_corner) - frame.eye;
+        let mut to_focus = DVec3::ZERO;
+        if !frame.perspective {
+            let forward = frame.view_from_relative.row(2);
+            let middle = to_corner + DVec3::from_array(std::array::from_fn(|axis| side[axis] * quantum[axis] / 2.0));
+            to_focus = forward * forward.dot(middle);
+        }
+        let focus = (to_focus - to_corner).to_array();
+        let anchor_steps: [u32; 3] =
+            std::array::from_fn(|axis| ((focus[axis] / quantum[axis]).clamp(0.0, side[axis]) / scale) as u32);
+        let steps = anchor_steps.map(|steps| f64::from(steps) * scale);
+        let anchor = DVec3::from_array(std::array::from_fn(|axis| steps[axis] * quantum[axis]));
+        let view = frame.view_from_relative * (to_corner + anchor);
+        let anchor_view = [view.x as f32, view.y as f32, (view.z - frame.front) as f32];
+        GpuBlock {
+            anchor_steps,
+            node: 0,
+            anchor_view,
+            step_scale: scale as f32,
+            first_point: 0,
+            first_id: 1,
+            bits: 0,
+            level: 0,
+        }
+    }
 }
 
 /// Consecutive points of a node whose box is small enough.
@@ -75,33 +137,14 @@ impl Run {
         run
     }
 
-    fn packed(&self, node: &RenderNode, i: usize) -> GpuPoint {
-        let [steps_x, steps_y, steps_z] =
-            std::array::from_fn(|axis| (node.positions.point(i).0[axis] - self.corner[axis]) as u32);
-        GpuPoint { steps_x, steps_y, steps_z, color: node.colors[i] }
+    fn side(&self) -> [u64; 3] {
+        std::array::from_fn(|axis| self.high[axis] - self.corner[axis])
     }
 
-    /// The block's anchor is the lattice point of its box that is nearest to the eye (in an orthographic view: to the
-    /// line of sight, beside the box's middle), since what is seen large is near there, and f32 is fine near there.
-    fn block(&self, lattice: &Lattice, frame: &Frame, radius: f64) -> GpuBlock {
-        let world_corner = lattice.world_from_lattice(LatticePoint(self.corner));
-        let quantum = lattice.quantum_f64();
-        let side: [f64; 3] = std::array::from_fn(|axis| (self.high[axis] - self.corner[axis]) as f64);
-        // From the eye to the corner: the difference of two f64 coordinates, formed before anything is scaled.
-        let to_corner = DVec3::from_array(world_corner) - frame.eye;
-        let mut to_focus = DVec3::ZERO;
-        if !frame.perspective {
-            let forward = frame.view_from_relative.row(2);
-            let middle = to_corner + DVec3::from_array(std::array::from_fn(|axis| side[axis] * quantum[axis] / 2.0));
-            to_focus = forward * forward.dot(middle);
-        }
-        let focus_steps = (to_focus - to_corner).to_array();
-        let anchor_steps: [u32; 3] =
-            std::array::from_fn(|axis| (focus_steps[axis] / quantum[axis]).clamp(0.0, side[axis]) as u32);
-        let anchor = DVec3::from_array(std::array::from_fn(|axis| f64::from(anchor_steps[axis]) * quantum[axis]));
-        let view = frame.view_from_relative * (to_corner + anchor);
-        let anchor_view = [view.x as f32, view.y as f32, (view.z - frame.front) as f32];
-        GpuBlock { anchor_steps, radius: radius as f32, anchor_view, pad_0: 0 }
+    fn packed(&self, node: &RenderNode, i: usize) -> PackedPoint {
+        let point = node.positions.point(i).0;
+        let steps = std::array::from_fn(|axis| (point[axis] - self.corner[axis]) as u32);
+        PackedPoint { steps, value: u32::from_le_bytes(node.colors[i]) }
     }
 }
 
@@ -132,10 +175,11 @@ mod tests {
                 positions: points.into_iter().map(LatticePoint).collect(),
             }).collect();
             let lattice = Lattice::uniform(0.001).unwrap();
-            let scene = Scene { lattice, nodes };
+            let scene = Scene { lattice, nodes, boxes: Vec::new() };
             let projection = height.map_or(Projection::Perspective { fov_y_rad: 1.0 }, |height| Projection::Orthographic { height });
             let camera = Camera::new(DVec3::new(1.0, 2.0, 3.0), DVec3::ZERO, DVec3::Z, projection, [64, 64]).unwrap();
-            let frame = Frame::new(&scene, &camera, &RenderOptions::default(), 64).unwrap();
+            let bounds = scene.nodes.iter().filter_map(|node| node.bounds());
+            let frame = Frame::new(&scene.lattice, bounds, &camera, &RenderOptions::default(), 64).unwrap();
 
             let mut unpacked = Vec::new();
             for_each_page(&scene, &frame, 1.0, page_points, page_blocks, |page| {
@@ -146,13 +190,12 @@ mod tests {
                     assert!(block.anchor_view.iter().all(|c| c.is_finite()));
                     for point in points.by_ref().take(count as usize) {
                         // Back from the anchor, in view space: within what f32 resolves at that size.
-                        let steps = [point.steps_x, point.steps_y, point.steps_z];
                         let relative: [f64; 3] = std::array::from_fn(|i| {
-                            (f64::from(steps[i]) - f64::from(block.anchor_steps[i])) * 0.001
+                            (f64::from(point.steps[i]) - f64::from(block.anchor_steps[i])) * 0.001
                         });
                         let view = frame.view_from_relative * DVec3::from_array(relative);
                         let view = view + DVec3::from_array(block.anchor_view.map(f64::from));
-                        unpacked.push((point.color, view + DVec3::Z * frame.front));
+                        unpacked.push((point.value.to_le_bytes(), view + DVec3::Z * frame.front));
                     }
                 }
                 assert!(points.next().is_none());

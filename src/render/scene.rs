@@ -1,9 +1,11 @@
 //! What is drawn: points on a lattice, grouped by spacing.
 
-use super::RenderError;
+use super::color::level_color;
+use super::cut::Cut;
+use super::{RenderError, RenderOptions};
 use crate::lattice::{Cube, Lattice, LatticeBox, LatticePoint};
 use crate::points::Positions;
-use std::collections::HashMap;
+use std::collections::HashSet;
 
 /// Points that lie about equally far apart.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,6 +26,21 @@ pub struct Scene {
     pub lattice: Lattice,
     /// In drawing order, which decides between equally near points: node-key order for a store's nodes.
     pub nodes: Vec<RenderNode>,
+    /// Drawn as wire frames, each in its colour, if the options ask for node boxes.
+    pub boxes: Vec<(LatticeBox, [u8; 4])>,
+}
+
+/// The cubes of nodes in the colours of their levels, each once.
+pub(super) fn node_boxes(cubes: impl Iterator<Item = Cube> + Clone) -> Vec<(LatticeBox, [u8; 4])> {
+    let top = cubes.clone().map(Cube::k).max().unwrap_or(0);
+    let mut seen = HashSet::new();
+    let once = cubes.filter(|&cube| seen.insert(cube));
+    // A little inside: edges that cubes of several levels share would fight for their pixels.
+    let inset = |cube: Cube| {
+        let (LatticeBox { min, max }, by) = (cube.to_box(), cube.side() >> 8);
+        LatticeBox { min: LatticePoint(min.0.map(|c| c + by)), max: LatticePoint(max.0.map(|c| c - by)) }
+    };
+    once.map(|cube| (inset(cube), level_color((top - cube.k()).into()))).collect()
 }
 
 /// The points that a selection takes from one node of the octree.
@@ -50,31 +67,19 @@ impl Scene {
     ///
     /// [`RenderError::ColorCount`] if a node's colours are not as many as its positions.
     pub fn from_selection(lattice: Lattice, selected: Vec<SelectedPoints>) -> Result<Self, RenderError> {
-        let mut spacings: HashMap<Cube, f64> = HashMap::with_capacity(selected.len());
-        for node in &selected {
-            // Layers have nodes of the same cube: together they are at least as fine as the finest.
-            let spacing = spacings.entry(node.cube).or_insert(node.spacing);
-            *spacing = spacing.min(node.spacing);
-        }
-        let finest = |cube: Cube, point: LatticePoint| {
-            let mut finest = cube;
-            while let Some(child) = finest.child(finest.octant_of(point)).filter(|c| spacings.contains_key(c)) {
-                finest = child;
-            }
-            spacings.get(&finest).copied()
-        };
+        let cut = Cut::new(selected.iter().map(|node| (node.cube, node.spacing)));
+        let boxes = node_boxes(selected.iter().map(|node| node.cube));
         let mut nodes = Vec::with_capacity(selected.len());
         for (place, node) in selected.into_iter().enumerate() {
             check_counts(place, &node.positions, &node.colors)?;
-            let has_finer = (0..8).any(|octant| node.cube.child(octant).is_some_and(|c| spacings.contains_key(&c)));
-            if !has_finer {
+            if !cut.has_finer(node.cube) {
                 nodes.push(RenderNode { spacing: node.spacing, positions: node.positions, colors: node.colors });
                 continue;
             }
             // Runs, not groups: the drawing order stays.
             let mut run = RenderNode::default();
             for (point, color) in node.positions.iter().zip(node.colors) {
-                let spacing = finest(node.cube, point).unwrap_or(node.spacing);
+                let spacing = cut.spacing_at(node.cube, point).unwrap_or(node.spacing);
                 if spacing != run.spacing && !run.positions.is_empty() {
                     nodes.push(std::mem::take(&mut run));
                 }
@@ -84,7 +89,7 @@ impl Scene {
             }
             nodes.push(run);
         }
-        Ok(Self { lattice, nodes })
+        Ok(Self { lattice, nodes, boxes })
     }
 
     /// The number of points.
@@ -95,6 +100,12 @@ impl Scene {
     /// No points?
     pub fn is_empty(&self) -> bool {
         self.nodes.iter().all(|node| node.positions.is_empty())
+    }
+
+    /// Boxes that hold everything that is drawn.
+    pub(super) fn bounds(&self, options: &RenderOptions) -> impl Iterator<Item = LatticeBox> + '_ {
+        let boxes = if options.node_boxes { self.boxes.as_slice() } else { &[] };
+        self.nodes.iter().filter_map(RenderNode::bounds).chain(boxes.iter().map(|(bounds, _)| *bounds))
     }
 
     /// # Errors

@@ -1,99 +1,165 @@
-//! Tables and ramps, as sRGB-coded bytes.
+//! From the value of a packed point to its colour: the twin of `color_of` in `points.wgsl`.
 
-/// Grey from almost black at 0 to white at 1: black points would look like holes.
-pub(super) fn grey(t: f64) -> [u8; 4] {
-    let level = (24.0 + 231.0 * t).round() as u8;
-    [level, level, level, 255]
+use super::NOTHING;
+
+/// The value of a point that lacks what the others of the picture show.
+pub const NO_VALUE: u32 = u32::MAX;
+
+/// The most entries of a table.
+const MAX_COLORS: usize = 1 << 16;
+
+/// How values become colours. Changing it uploads no points: only this.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Palette {
+    kind: Kind,
+    /// sRGB-coded; never empty. Points whose entry has alpha 0 are not drawn.
+    colors: Vec<[u8; 4]>,
 }
 
-/// The perceptually uniform ramp "viridis" (Smith and van der Walt, 2015), dark blue at 0 to yellow at 1, as Matt
-/// Zucker's polynomial of degree 6: at most 2 of 255 from the table.
-pub(super) fn ramp(t: f64) -> [u8; 4] {
-    const COEFFICIENTS: [[f64; 3]; 7] = [
-        [0.277_727_327, 0.005_407_345, 0.334_099_805],
-        [0.105_093_043, 1.404_613_530, 1.384_590_163],
-        [-0.330_861_829, 0.214_847_559, 0.095_095_163],
-        [-4.634_230_499, -5.799_100_973, -19.332_440_956],
-        [6.228_269_936, 14.179_933_367, 56.690_552_601],
-        [4.776_384_998, -13.745_145_378, -65.353_032_633],
-        [-5.435_455_856, 4.645_852_612, 26.312_435_250],
-    ];
-    let channel = |i: usize| {
-        let value = COEFFICIENTS.iter().rev().fold(0.0, |sum, c| sum * t + c[i]);
-        (value * 255.0).round().clamp(0.0, 255.0) as u8
-    };
-    [channel(0), channel(1), channel(2), 255]
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Kind {
+    Colors,
+    Numbers,
+    Ramp { scale: f32, offset: f32 },
+    Levels,
 }
 
-/// The classes of LAS 1.4 R15, in colours that GIS users know: ground brown, plants green, buildings orange-red, water
-/// blue. Classes above are user-defined and get one of the categories.
-pub(super) fn class(class: u32) -> [u8; 4] {
-    const CLASSES: [[u8; 3]; 23] = [
-        [170, 170, 170], // created, never classified
-        [145, 145, 150], // unassigned
-        [161, 119, 74],  // ground
-        [164, 205, 108], // low vegetation
-        [95, 173, 72],   // medium vegetation
-        [43, 125, 56],   // high vegetation
-        [224, 104, 64],  // building
-        [232, 52, 168],  // low point (noise)
-        [236, 222, 168], // reserved, formerly model key point
-        [66, 133, 214],  // water
-        [112, 82, 140],  // rail
-        [92, 94, 104],   // road surface
-        [204, 190, 132], // reserved, formerly overlap
-        [240, 216, 66],  // wire, guard
-        [245, 178, 46],  // wire, conductor
-        [196, 120, 204], // transmission tower
-        [140, 222, 222], // wire-structure connector
-        [118, 152, 176], // bridge deck
-        [255, 0, 110],   // high noise
-        [170, 132, 98],  // overhead structure
-        [196, 142, 92],  // ignored ground
-        [232, 242, 250], // snow
-        [120, 90, 160],  // temporal exclusion
-    ];
-    match CLASSES.get(class as usize) {
-        Some(&[red, green, blue]) => [red, green, blue, 255],
-        None => category(class),
+impl Default for Palette {
+    fn default() -> Self {
+        Self::colors()
     }
 }
 
-/// A colour for a number: neighbouring numbers look different. The hues go round by the golden angle.
-pub(super) fn category(number: u32) -> [u8; 4] {
-    const GOLDEN_TURN: f64 = 0.618_033_988_749_895;
-    let hue = (0.58 + f64::from(number) * GOLDEN_TURN).fract() * 6.0;
-    // Every other number is lighter: hues come round again close by after 13 numbers.
-    let (saturation, value) = if number.is_multiple_of(2) { (0.62, 0.90) } else { (0.48, 0.98) };
-    let channel = |shift: f64| {
-        let k = (shift + hue) % 6.0;
-        let level: f64 = value - value * saturation * k.min(4.0 - k).clamp(0.0, 1.0);
-        (level * 255.0).round() as u8
-    };
-    [channel(5.0), channel(3.0), channel(1.0), 255]
+impl Palette {
+    /// Values are colours already: RGBA8, red in the lowest byte, alpha not read.
+    pub fn colors() -> Self {
+        Self { kind: Kind::Colors, colors: vec![NOTHING] }
+    }
+
+    /// Values are whole numbers, each with its entry of the table; those beyond have the last one. At most 65,536
+    /// entries count.
+    pub fn numbers(colors: Vec<[u8; 4]>) -> Self {
+        Self::table(Kind::Numbers, colors)
+    }
+
+    /// Every point has the entry of its node's level, 0 being the root's, whatever its value; deeper ones have the last.
+    pub fn levels(colors: Vec<[u8; 4]>) -> Self {
+        Self::table(Kind::Levels, colors)
+    }
+
+    /// Values are the bits of `f32` numbers; the table is spread evenly from `low` to `high`. What is beyond has the end's
+    /// colour, and everything the middle's if the range has no extent.
+    pub fn ramp(colors: Vec<[u8; 4]>, [low, high]: [f64; 2]) -> Self {
+        // Halved, so that the widest ranges of f64 don't overflow.
+        let half = high / 2.0 - low / 2.0;
+        let kind = if half > 0.0 && half.is_finite() {
+            Kind::Ramp { scale: (0.5 / half) as f32, offset: (-low / 2.0 / half) as f32 }
+        } else {
+            Kind::Ramp { scale: 0.0, offset: 0.5 }
+        };
+        Self::table(kind, colors)
+    }
+
+    fn table(kind: Kind, mut colors: Vec<[u8; 4]>) -> Self {
+        colors.truncate(MAX_COLORS);
+        if colors.is_empty() {
+            colors.push(NOTHING);
+        }
+        Self { kind, colors }
+    }
+
+    /// The same palette without the points of these entries: classes or scans that are not to be seen.
+    #[must_use]
+    pub fn hiding(mut self, entries: impl IntoIterator<Item = usize>) -> Self {
+        for entry in entries {
+            if let Some(color) = self.colors.get_mut(entry) {
+                color[3] = 0;
+            }
+        }
+        self
+    }
+
+    /// The table.
+    pub fn entries(&self) -> &[[u8; 4]] {
+        &self.colors
+    }
+
+    /// The colour of a value in a node of this level; alpha 0 for a point that is not drawn.
+    pub fn color(&self, value: u32, level: u32) -> [u8; 4] {
+        let last = self.colors.len() - 1;
+        match self.kind {
+            Kind::Colors => {
+                let [red, green, blue, _] = value.to_le_bytes();
+                [red, green, blue, 255]
+            }
+            Kind::Numbers | Kind::Ramp { .. } if value == NO_VALUE => NOTHING,
+            Kind::Numbers => self.colors[(value as usize).min(last)],
+            Kind::Ramp { scale, offset } => {
+                let place = (f32::from_bits(value) * scale + offset).clamp(0.0, 1.0);
+                self.colors[((place * last as f32 + 0.5) as usize).min(last)]
+            }
+            Kind::Levels => self.colors[(level as usize).min(last)],
+        }
+    }
+
+    /// `VALUES_*` of the shader.
+    pub(in super::super) fn kind(&self) -> u32 {
+        match self.kind {
+            Kind::Colors => 0,
+            Kind::Numbers => 1,
+            Kind::Ramp { .. } => 2,
+            Kind::Levels => 3,
+        }
+    }
+
+    pub(in super::super) fn last(&self) -> u32 {
+        (self.colors.len() - 1) as u32
+    }
+
+    /// Scale and offset of a ramp.
+    pub(in super::super) fn ramp_of(&self) -> (f32, f32) {
+        match self.kind {
+            Kind::Ramp { scale, offset } => (scale, offset),
+            _ => (0.0, 0.0),
+        }
+    }
+}
+
+/// The bits of a number for a ramp: NaN lies at the low end, and nothing is infinite.
+pub(super) fn ramp_value(number: f64) -> u32 {
+    if number.is_nan() { f32::MIN.to_bits() } else { (number as f32).clamp(f32::MIN, f32::MAX).to_bits() }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const RED: [u8; 4] = [255, 0, 0, 255];
+    const GREEN: [u8; 4] = [0, 255, 0, 255];
+    const BLUE: [u8; 4] = [0, 0, 255, 255];
+
     #[test]
-    fn the_ramp_gets_lighter_all_the_way() {
-        let light = |[r, g, b, _]: [u8; 4]| 2 * u32::from(r) + 7 * u32::from(g) + u32::from(b);
-        let steps: Vec<u32> = (0..=20).map(|i| light(ramp(f64::from(i) / 20.0))).collect();
-        assert!(steps.windows(2).all(|w| w[0] < w[1]), "{steps:?}");
-        // The ends of the published table.
-        for (t, expected) in [(0.0, [68, 1, 84]), (1.0, [253, 231, 37])] {
-            let got = ramp(t);
-            assert!((0..3).all(|i| got[i].abs_diff(expected[i]) <= 4), "{got:?}");
-        }
+    fn numbers_and_levels_have_their_entries_and_the_last_beyond() {
+        let table = vec![RED, GREEN, BLUE];
+        let numbers = Palette::numbers(table.clone());
+        assert_eq!([0, 1, 2, 3, NO_VALUE].map(|n| numbers.color(n, 9)), [RED, GREEN, BLUE, BLUE, NOTHING]);
+        let levels = Palette::levels(table);
+        assert_eq!([0, 1, 7].map(|level| levels.color(5, level)), [RED, GREEN, BLUE]);
+        assert_eq!(numbers.hiding([1, 99]).color(1, 0), [0, 255, 0, 0]);
+        assert_eq!(Palette::numbers(Vec::new()).color(5, 0), NOTHING);
     }
 
     #[test]
-    fn near_numbers_have_different_colours() {
-        let far = |a: [u8; 4], b: [u8; 4]| (0..3).map(|i| a[i].abs_diff(b[i])).max() > Some(20);
-        for a in 0..100 {
-            assert!((a + 1..a + 8).all(|b| far(category(a), category(b))), "{a}");
+    fn a_ramp_goes_from_its_low_end_to_its_high_end() {
+        let ramp = Palette::ramp(vec![RED, GREEN, BLUE], [10.0, 20.0]);
+        let colors = [-1e300, 10.0, 12.0, 13.0, 15.0, 18.0, 20.0, 1e300].map(|n| ramp.color(ramp_value(n), 0));
+        assert_eq!(colors, [RED, RED, RED, GREEN, GREEN, BLUE, BLUE, BLUE]);
+        assert_eq!(ramp.color(ramp_value(f64::NAN), 0), RED);
+        for flat in [[5.0, 5.0], [f64::NAN, 1.0], [2.0, 1.0]] {
+            let ramp = Palette::ramp(vec![RED, GREEN, BLUE], flat);
+            assert_eq!([-1e300, 5.0, f64::INFINITY].map(|n| ramp.color(ramp_value(n), 0)), [GREEN; 3]);
         }
+        let widest = Palette::ramp(vec![RED, GREEN, BLUE], [f64::MIN, f64::MAX]);
+        assert_eq!(widest.color(ramp_value(0.0), 0), GREEN);
     }
 }

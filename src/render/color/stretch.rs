@@ -35,6 +35,11 @@ impl Stretch {
         Self { low, high }
     }
 
+    /// The values at 0 and at 1.
+    pub fn ends(&self) -> [f64; 2] {
+        [self.low, self.high]
+    }
+
     /// Where `value` is in the range: 0 at or below its lower end, 1 at or above the upper; the middle if the range has
     /// no extent, 0 for NaN.
     pub fn place(&self, value: f64) -> f64 {

@@ -8,13 +8,13 @@ const SIZE: [u32; 2] = [320, 200];
 /// The bound that the reference renderer's head states.
 const DIFFERING: f64 = 0.005;
 
-fn options(edl: bool) -> RenderOptions {
+pub(super) fn options(edl: bool) -> RenderOptions {
     let edl = edl.then_some(Edl::default());
     RenderOptions { background: Background::Plain([0, 0, 0, 255]), edl, ..Default::default() }
 }
 
 #[track_caller]
-fn assert_twins_agree(scene: &Scene, camera: &Camera, options: &RenderOptions) {
+pub(super) fn assert_twins_agree(scene: &Scene, camera: &Camera, options: &RenderOptions) {
     let expected = reference::render(scene, camera, options).unwrap();
     let got = renderer().render(scene, camera, options).unwrap();
     let differing = difference(&got, &expected, 2);
@@ -119,7 +119,7 @@ fn shading_darkens_only_what_has_something_nearer_beside_it() {
     {
         let (flat, lit) = (options(false), options(true));
         assert_twins_agree(&steps, &camera, &lit);
-        let [flat, lit] = [flat, lit].map(|o| renderer().render(&steps, &camera, &o).unwrap());
+        let [flat, lit] = [&flat, &lit].map(|o| renderer().render(&steps, &camera, o).unwrap());
         assert!(flat.rgba.iter().zip(&lit.rgba).all(|(flat, lit)| lit <= flat));
         assert_eq!(lit.pixel(160, 100), [200, 200, 200, 255], "the near square is unlit");
         let darkened = difference(&flat, &lit, 2);

@@ -1,7 +1,8 @@
 //! WGSL without an adapter: it is valid, and its structs are ours.
 
-use crate::render::gpu_types::{GpuBlock, GpuFrame, GpuPoint};
-use crate::render::passes::{POINTS_WGSL, SHADE_WGSL};
+use crate::render::gpu_types::{GpuBlock, GpuClipBox, GpuFrame, GpuLine, GpuNode};
+use crate::render::passes::{LINES_WGSL, POINTS_WGSL, SHADE_WGSL};
+use crate::stream::gpu::PackedPoint;
 use std::mem::offset_of;
 use wgpu::naga;
 
@@ -34,7 +35,7 @@ macro_rules! ours {
 
 #[test]
 fn shaders_are_valid() {
-    for (wgsl, entries) in [(POINTS_WGSL, 2), (SHADE_WGSL, 2)] {
+    for (wgsl, entries) in [(POINTS_WGSL, 3), (LINES_WGSL, 2), (SHADE_WGSL, 3)] {
         assert_eq!(module(wgsl).entry_points.len(), entries);
     }
 }
@@ -43,10 +44,24 @@ fn shaders_are_valid() {
 fn shared_structs_agree_with_wgsl() {
     let frame = ours!(GpuFrame: view_from_steps, image_px, focal_px, perspective, front_depth, depth_scale,
         nearest_past_front, farthest_past_front, min_radius_px, max_radius_px, edl_strength,
-        edl_radius_px, pad_0, pad_1, pad_2, pad_3, background_top, background_bottom);
+        edl_radius_px, shape, shadow_px, fog_half, fog_start, values, palette_last, ramp_scale, ramp_offset,
+        clips_to_keep, clips_in_all, pad_0, pad_1, fog_color, background_top, background_bottom, clips);
+    for wgsl in [POINTS_WGSL, LINES_WGSL, SHADE_WGSL] {
+        let module = module(wgsl);
+        assert_eq!(layout(&module, "Frame"), frame);
+        assert_eq!(layout(&module, "ClipBox"), ours!(GpuClipBox: unit_from_view));
+    }
     let points = module(POINTS_WGSL);
-    assert_eq!(layout(&points, "Frame"), frame);
-    assert_eq!(layout(&module(SHADE_WGSL), "Frame"), frame);
-    assert_eq!(layout(&points, "Point"), ours!(GpuPoint: steps_x, steps_y, steps_z, color));
-    assert_eq!(layout(&points, "Block"), ours!(GpuBlock: anchor_steps, radius, anchor_view, pad_0));
+    // The three steps are one array here.
+    let (members, size) = layout(&points, "Point");
+    assert_eq!(
+        members,
+        [("steps_x", 0), ("steps_y", 4), ("steps_z", 8), ("value", 12)].map(|(n, o)| (n.to_owned(), o))
+    );
+    assert_eq!((offset_of!(PackedPoint, steps), offset_of!(PackedPoint, value), size), (0, 12, 16));
+    let block = ours!(GpuBlock: anchor_steps, node, anchor_view, step_scale, first_point, first_id, bits, level);
+    assert_eq!(layout(&points, "Block"), block);
+    assert_eq!(layout(&points, "Node"), ours!(GpuNode: radius, children));
+    let line = ours!(GpuLine: from_px, to_px, from_depth, to_depth, color, pad_0);
+    assert_eq!(layout(&module(LINES_WGSL), "Line"), line);
 }

@@ -26,8 +26,8 @@ fn an_unlit_point_has_exactly_its_colour() {
     for camera in
         [perspective([0.0; 3], [0.0, 1.0, 0.0], 60.0, SIZE), orthographic([0.0; 3], [0.0, 1.0, 0.0], 2.0, SIZE)]
     {
-        for options in [plain(), lit] {
-            let image = both(&one, &camera, &options);
+        for options in [&plain(), &lit] {
+            let image = both(&one, &camera, options);
             assert_eq!(image.pixel(30, 20), COLOR);
             assert!(image.rgba.chunks_exact(4).all(|p| p == COLOR || p == BLACK));
             assert!(coverage(&image, BLACK) > 0.001);

@@ -37,7 +37,7 @@ pub fn scene(quantum: f64, nodes: &[(f64, Points)]) -> Scene {
             colors: points.iter().map(|(_, color)| *color).collect(),
         })
         .collect();
-    Scene { lattice, nodes }
+    Scene { lattice, nodes, boxes: Vec::new() }
 }
 
 /// Random points of random colours in a box around `center`, in nodes of 1000 points.

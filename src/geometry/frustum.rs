@@ -1,6 +1,6 @@
 //! What a camera can see, as planes relative to its eye.
 
-use super::{Camera, Projection, WorldBox};
+use super::{Camera, HalfSpace, Projection, WorldBox};
 use glam::DVec3;
 
 /// How a box lies to a region.
@@ -76,6 +76,11 @@ impl Frustum {
             }
         }
         answer
+    }
+
+    /// Its planes, for points relative to the eye.
+    pub(super) fn half_spaces(&self) -> impl Iterator<Item = HalfSpace> + '_ {
+        self.planes.iter().map(|p| HalfSpace { normal: p.normal.to_array(), offset: p.offset, open: false })
     }
 
     /// Is a point, given relative to the eye, inside?

@@ -6,6 +6,7 @@
 mod bounds;
 mod camera;
 mod camera_file;
+mod convex;
 mod frustum;
 mod pose;
 #[cfg(test)]
@@ -13,6 +14,7 @@ mod tests;
 
 pub use bounds::WorldBox;
 pub use camera::{Camera, CameraError, Projection};
+pub use convex::{ClipDepth, Convex, HalfSpace};
 pub use frustum::{Containment, Frustum};
 pub use pose::{Pose, PoseError};
 

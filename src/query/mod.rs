@@ -30,7 +30,7 @@ pub use detail::Detail;
 pub use error::QueryError;
 pub use filter::{Filter, FilterError};
 pub use output::OutputForm;
-pub use region::{LatticeRegion, Region};
+pub use region::{LatticeRegion, Polygons, Region};
 pub use request::{Attributes, Query};
 pub use summary::{AttributeSummary, Summary};
 pub use view::{SelectedPart, Selection, select_view};

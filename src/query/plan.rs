@@ -59,6 +59,7 @@ pub(crate) enum Scope {
 impl Plan {
     pub fn new(query: &Query, snapshot: &Snapshot) -> Result<Self, QueryError> {
         let site = snapshot.site();
+        query.region.check_coordinates(site.crs.as_ref(), bounds_in_plan(snapshot))?;
         let names = Names { attributes: snapshot.attributes(), scans: snapshot.scans(), lattice: &site.lattice };
         let filter = query.filter.as_ref().map(|f| f.bind(&names)).transpose()?;
         let slots = filter.as_ref().map_or_else(Vec::new, BoundFilter::slots);
@@ -71,7 +72,7 @@ impl Plan {
             index: snapshot.index()?,
             lattice: site.lattice.clone(),
             g: site.g,
-            region: query.region.on_lattice(&site.lattice),
+            region: query.region.on_lattice(&site.lattice)?,
             taken: None,
             filter,
             filter_columns,
@@ -94,9 +95,10 @@ impl Plan {
     }
 
     /// Looks at the points on a box's maximum faces, too, to count them.
-    pub fn count_faces(&mut self, asked: &Region) {
-        let closed = asked.closed_on(&self.lattice).on_lattice(&self.lattice);
+    pub fn count_faces(&mut self, asked: &Region) -> Result<(), QueryError> {
+        let closed = asked.closed_on(&self.lattice).on_lattice(&self.lattice)?;
         self.taken = Some(std::mem::replace(&mut self.region, closed));
+        Ok(())
     }
 
     /// How all the lattice points of `bounds` lie to what is taken; where it is `Outside`, none of them is on a face
@@ -213,6 +215,16 @@ pub(crate) struct MostPoints {
     pub by_cell: [u64; BITS as usize + 1],
     /// Of all.
     pub all: u64,
+}
+
+/// Least and greatest x and y of all points.
+fn bounds_in_plan(snapshot: &Snapshot) -> Option<([f64; 2], [f64; 2])> {
+    let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b))?;
+    let plan = |p| {
+        let [x, y, _] = snapshot.site().lattice.world_from_lattice(p);
+        [x, y]
+    };
+    Some((plan(bounds.min), plan(bounds.max)))
 }
 
 /// The scans that are asked for by name, or all visible ones; `None` if that is all.

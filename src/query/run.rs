@@ -150,7 +150,7 @@ fn outside(plan: &Plan) -> impl Fn(&LatticeBox) -> bool + '_ {
 fn run_everything(plan: &mut Plan, region: &Region, sink: Sink) -> Result<Answer, QueryError> {
     let has_faces = matches!(region, Region::Box { .. });
     if has_faces {
-        plan.count_faces(region);
+        plan.count_faces(region)?;
     }
     let plan = &*plan;
     let mut tasks = Vec::new();

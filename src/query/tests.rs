@@ -71,7 +71,7 @@ fn moved(region: &Region, test: &TestStore) -> Region {
     match *region {
         Region::Box { min, max } => Region::Box { min: shift(min), max: shift(max) },
         Region::Sphere { center, radius } => Region::Sphere { center: shift(center), radius },
-        Region::Everything => Region::Everything,
+        _ => region.clone(),
     }
 }
 impl Asked {
@@ -87,7 +87,7 @@ impl Asked {
     }
 
     fn matches(&self, test: &TestStore, hidden: Option<ScanId>) -> impl Fn(&Point) -> bool {
-        let region = moved(&self.region, test).on_lattice(&test.lattice);
+        let region = moved(&self.region, test).on_lattice(&test.lattice).unwrap();
         let (filter, scans) = (self.filter, self.scans);
         move |p| {
             let scan = match scans {
@@ -279,7 +279,7 @@ fn the_laws_hold_at_the_parameters_of_the_format() {
     ];
     for region in regions {
         for (text, filter) in [("", FILTERS[0].1), ("class < 3", |p: &Point| p.class < 3)] {
-            let on = region.on_lattice(&test.lattice);
+            let on = region.on_lattice(&test.lattice).unwrap();
             let all: Vec<Point> = test.points.iter().filter(|p| on.contains(p.at()) && filter(p)).copied().collect();
             let query = || {
                 let query = Query::new().region(region.clone()).with_scans(true);

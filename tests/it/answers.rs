@@ -142,7 +142,7 @@ fn regions_with_filters_equal_brute_force() {
         for n in 0..regions {
             let region = tile.region(&mut random);
             let (filter, matches) = filter(&mut random);
-            let on_lattice = region.on_lattice(&tile.lattice);
+            let on_lattice = region.on_lattice(&tile.lattice).unwrap();
             let mut expected: Vec<_> = tile
                 .points
                 .iter()
@@ -212,7 +212,7 @@ fn reported_bounds_hold_for_details_capacities_and_filters() {
                 _ => tile.region(&mut random),
             };
             let (filter, matches) = filter(&mut random);
-            let on_lattice = region.on_lattice(&tile.lattice);
+            let on_lattice = region.on_lattice(&tile.lattice).unwrap();
             let all: Vec<_> = tile
                 .points
                 .iter()

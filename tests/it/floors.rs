@@ -42,6 +42,7 @@ const OWNERS: &[(&str, &[&str])] = &[
     ("las", &["formats"]),
     ("laz", &["formats"]),
     ("e57", &["formats"]),
+    ("geojson", &["query"]),
     ("png", &["render"]),
     ("clap", &["cli"]),
     ("anyhow", &["cli"]),

@@ -58,11 +58,11 @@ fn run(criterion: &mut Criterion) -> Result<(), Error> {
         group.throughput(Throughput::Elements(read_all(query, &snapshot)));
         group.bench_function(*name, |b| b.iter(|| read_all(query, &snapshot)));
     }
-    let index = snapshot.index()?;
+    let nodes = snapshot.nodes();
     let (lattice, g) = (&snapshot.site().lattice, snapshot.site().g);
     let camera = Camera::looking_at_all(&all, [1920, 1080])?;
-    group.throughput(Throughput::Elements(index.len() as u64));
-    group.bench_function("view selection", |b| b.iter(|| select_view(&index, lattice, g, &camera, 1.0, Some(500_000))));
+    group.throughput(Throughput::Elements(nodes.len()));
+    group.bench_function("view selection", |b| b.iter(|| select_view(&nodes, lattice, g, &camera, 1.0, Some(500_000))));
     group.finish();
     Ok(())
 }

@@ -7,7 +7,7 @@ use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_st
 use crate::geometry::Camera;
 use crate::points::{Batch, Column};
 use crate::query::{Answer, AttributeSummary, Detail, Filter, Query, Region};
-use crate::store::{Snapshot, Store};
+use crate::store::{Limits, Snapshot, Store};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::ops::ControlFlow;
@@ -132,7 +132,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     if arguments.split_by.is_some() && target.is_some_and(|(path, _)| path == Path::new("-")) {
         bail!("--split-by writes several files; give -o a file name");
     }
-    let store = Store::open(&arguments.store)?;
+    let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
     let query = query(arguments, &snapshot)?;
     if arguments.count {

@@ -135,20 +135,20 @@ fn scene(arguments: &Arguments, snapshot: &Snapshot, camera: &Camera) -> anyhow:
     }
 
     // Splats are as large as the finest selected node around them asks for.
-    let index = snapshot.index()?;
+    let nodes = snapshot.nodes();
     let selection =
-        select_view(&index, &site.lattice, site.g, camera, arguments.max_error_px, Some(arguments.capacity));
+        select_view(&nodes, &site.lattice, site.g, camera, arguments.max_error_px, Some(arguments.capacity))?;
     let quantum = site.lattice.largest_quantum();
     let mut selected: Vec<SelectedPoints> = selection
         .parts
         .iter()
         .map(|part| {
-            let cube = index.head(part.node).cube;
+            let cube = nodes.node(part.node)?.cube;
             let spacing = quantum * 2_f64.powi(i32::from(cube.k()) - i32::from(site.g));
-            SelectedPoints { cube, spacing, positions: Default::default(), colors: Vec::new() }
+            Ok(SelectedPoints { cube, spacing, positions: Default::default(), colors: Vec::new() })
         })
-        .collect();
-    if let Some(root) = index.roots().map(|r| index.head(r).cube).max_by_key(|c| c.k()) {
+        .collect::<anyhow::Result<_>>()?;
+    if let Some(root) = nodes.roots()?.iter().map(|r| r.cube).max_by_key(|c| c.k()) {
         let spacing = quantum * 2_f64.powi(i32::from(root.k()) - i32::from(site.g));
         for (batch, colors) in batches.into_iter().zip(colored.colors) {
             selected.push(SelectedPoints { cube: root, spacing, positions: batch.positions, colors });

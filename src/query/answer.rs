@@ -35,9 +35,13 @@ pub struct Statistics {
     pub parts: u64,
     /// Chunks read.
     pub chunks: u64,
+    /// Chunks that were in the store's cache.
+    pub chunks_cached: u64,
     /// Blocks decoded, each column for itself.
     pub blocks: u64,
-    /// Bytes of the chunks read.
+    /// Blocks that were in the store's cache.
+    pub blocks_cached: u64,
+    /// Bytes of the chunks read, those in the cache apart.
     pub bytes_read: u64,
     /// Points whose positions were decoded.
     pub points_decoded: u64,
@@ -60,7 +64,9 @@ pub(crate) struct Meter {
     pub nodes_visited: AtomicU64,
     pub parts: AtomicU64,
     pub chunks: AtomicU64,
+    pub chunks_cached: AtomicU64,
     pub blocks: AtomicU64,
+    pub blocks_cached: AtomicU64,
     pub bytes_read: AtomicU64,
     pub points_decoded: AtomicU64,
     pub on_maximum_faces: AtomicU64,
@@ -108,7 +114,9 @@ impl Meter {
             nodes_visited: count(&self.nodes_visited),
             parts: count(&self.parts),
             chunks: count(&self.chunks),
+            chunks_cached: count(&self.chunks_cached),
             blocks: count(&self.blocks),
+            blocks_cached: count(&self.blocks_cached),
             bytes_read: count(&self.bytes_read),
             points_decoded: count(&self.points_decoded),
             seconds: elapsed.as_secs_f64(),

@@ -3,6 +3,7 @@
 use super::mask::Mask;
 use crate::points::{Column, Positions};
 use crate::store::model::{ScanId, Slot};
+use std::sync::Arc;
 
 /// What was decoded of a block.
 #[derive(Clone, Debug, PartialEq)]
@@ -10,16 +11,26 @@ pub(crate) struct Block {
     /// The number of points.
     pub len: usize,
     /// Where they are; empty if that was not asked for.
-    pub positions: Positions,
+    pub positions: Arc<Positions>,
     /// Whose they are.
     pub scans: BlockScans,
     /// The attributes asked for; `None` where no point of the part has it.
-    pub columns: Vec<(Slot, Option<Column>)>,
+    pub columns: Vec<(Slot, Option<Arc<Column>>)>,
 }
 
 impl Block {
+    /// Of which nothing is known yet.
+    pub fn undecoded(len: usize) -> Self {
+        Self { len, positions: Arc::default(), scans: BlockScans::One(0), columns: Vec::new() }
+    }
+
     /// An attribute's values; `None` if it was not decoded or no point of the part has it.
     pub fn column(&self, slot: Slot) -> Option<&Column> {
+        self.shared_column(slot).map(|column| &**column)
+    }
+
+    /// The same to keep.
+    pub fn shared_column(&self, slot: Slot) -> Option<&Arc<Column>> {
         self.columns.iter().find(|(s, _)| *s == slot).and_then(|(_, c)| c.as_ref())
     }
 }

@@ -10,7 +10,7 @@ use super::plan::{Plan, Prospect, Scope};
 use super::ties;
 use crate::geometry::Containment;
 use crate::lattice::{Cube, Key, LatticeBox, LatticePoint};
-use crate::store::NodeIx;
+use crate::store::{Node, NodeIx};
 use rayon::prelude::*;
 
 /// A matching point and where it is stored. Within a layer these order as the points do: of equal keys the one in the
@@ -30,21 +30,19 @@ const FEW_HOLES: usize = 64;
 pub(crate) fn everything(plan: &Plan) -> Result<Vec<Pick>, QueryError> {
     let mut nodes = Vec::new();
     plan.walk(|node| {
-        nodes.push(node);
+        nodes.push(node.clone());
         Ok(true)
     })?;
-    let read: Vec<Vec<Pick>> = nodes
-        .par_iter()
-        .map(|&node| {
-            let mut picks = Vec::new();
-            if plan.prospect(node, Scope::Own)? != Prospect::Nothing {
-                for part in 0..plan.index.head(node).parts.len() {
-                    read_part(plan, node, part, None, &mut picks, &mut Vec::new())?;
-                }
+    let read: Vec<Vec<Pick>> = plan.each(nodes, |node| {
+        plan.cancel.check()?;
+        let mut picks = Vec::new();
+        if plan.prospect(&node, Scope::Own)? != Prospect::Nothing {
+            for part in 0..node.parts.len() {
+                read_part(plan, &node, part, None, &mut picks, &mut Vec::new())?;
             }
-            Ok(picks)
-        })
-        .collect::<Result<_, QueryError>>()?;
+        }
+        Ok(picks)
+    })?;
     let mut picks = read.concat();
     picks.par_sort_unstable();
     ties::settle(plan, &mut picks)?;
@@ -54,10 +52,9 @@ pub(crate) fn everything(plan: &Plan) -> Result<Vec<Pick>, QueryError> {
 /// The least matching point of every cell of exponent `c` that has one, in key order.
 pub(crate) fn filtered(plan: &Plan, c: u8) -> Result<Vec<Pick>, QueryError> {
     let mut picks = Vec::new();
-    for layer in 0..plan.index.layers() {
-        let layer = u16::try_from(layer).unwrap_or(u16::MAX);
+    for root in &plan.roots {
         // The least of each layer, then the least of all: the union's is among them.
-        picks.extend(filtered_layer(plan, layer, c)?);
+        picks.extend(level_below(plan, root, root.cube, c, Vec::new(), Vec::new())?);
     }
     picks.par_sort_unstable();
     ties::settle(plan, &mut picks)?;
@@ -67,76 +64,74 @@ pub(crate) fn filtered(plan: &Plan, c: u8) -> Result<Vec<Pick>, QueryError> {
 
 /// What the nodes at or above a level gave.
 #[derive(Default)]
-struct Above {
-    picks: Vec<Pick>,
+pub(crate) struct Above {
+    pub picks: Vec<Pick>,
     /// Cells, by their least key, with a point that does not match.
-    missed: Vec<Key>,
+    pub missed: Vec<Key>,
 }
 
-fn filtered_layer(plan: &Plan, layer: u16, c: u8) -> Result<Vec<Pick>, QueryError> {
-    let Some(root) = plan.index.root(layer) else { return Ok(Vec::new()) };
+/// The least matching points of the cells of a subtree, in key order. `picks` and `missed` are what the nodes above it have
+/// in its cube; the former are in the result. `root` is the root of its tree.
+pub(crate) fn level_below(
+    plan: &Plan,
+    top: &Node,
+    root: Cube,
+    c: u8,
+    mut picks: Vec<Pick>,
+    mut missed: Vec<Key>,
+) -> Result<Vec<Pick>, QueryError> {
     let mut above = Vec::new();
     let mut frontier = Vec::new();
-    plan.walk(|node| {
-        let head = plan.index.head(node);
-        if head.layer != layer {
-            return Ok(false);
-        }
+    plan.walk_from(vec![top.clone()], |head| {
         let finer = i16::from(head.cube.k()) < i16::from(c) + i16::from(plan.g);
-        if finer && node != root {
+        if finer && !head.is_root() {
             return Ok(false);
         }
-        above.push(node);
+        above.push(head.clone());
         let lowest = finer || head.cube.k() == c + plan.g;
         if lowest && !head.leaf {
-            frontier.push(node);
+            frontier.push(head.clone());
         }
         Ok(!lowest)
     })?;
-    let read: Vec<Above> = above.par_iter().map(|&node| read_above(plan, node, c)).collect::<Result<_, _>>()?;
-    let (mut picks, mut missed) = (Vec::new(), Vec::new());
-    for Above { picks: p, missed: m } in read {
-        picks.extend(p);
-        missed.extend(m);
+    for read in plan.each(above, |node| read_above(plan, &node, root, c))? {
+        picks.extend(read.picks);
+        missed.extend(read.missed);
     }
-    picks.par_sort_unstable();
+    picks.sort_unstable();
     picks.dedup_by_key(|p| p.key.prefix(c));
     if missed.is_empty() {
         return Ok(picks);
     }
-    missed.par_sort_unstable();
+    missed.sort_unstable();
     missed.dedup();
-    let filled: Vec<Vec<Pick>> = frontier
-        .par_iter()
-        .map(|&node| {
-            let cube = plan.index.head(node).cube;
-            let from = missed.partition_point(|m| *m < cube.first_key().floor(c));
-            let to = missed.partition_point(|m| *m <= cube.last_key());
-            let mut holes: Vec<Hole> = missed[from..to].iter().map(|&floor| Hole::new(floor, c, &picks)).collect();
-            fill(plan, node, c, &mut holes)?;
-            Ok(holes.into_iter().filter_map(|h| h.found).collect())
-        })
-        .collect::<Result<_, QueryError>>()?;
+    let filled = plan.each(frontier, |node| {
+        let cube = node.cube;
+        let from = missed.partition_point(|m| *m < cube.first_key().floor(c));
+        let to = missed.partition_point(|m| *m <= cube.last_key());
+        let mut holes: Vec<Hole> = missed[from..to].iter().map(|&floor| Hole::new(floor, c, &picks)).collect();
+        fill(plan, &node, c, &mut holes)?;
+        Ok(holes.into_iter().filter_map(|h| h.found).collect::<Vec<_>>())
+    })?;
     filled.into_iter().for_each(|f| picks.extend(f));
-    picks.par_sort_unstable();
+    picks.sort_unstable();
     picks.dedup_by_key(|p| p.key.prefix(c));
     Ok(picks)
 }
 
 /// The matching points of a node at or above the level, at most one a cell, and the cells of those that do not match.
-fn read_above(plan: &Plan, node: NodeIx, c: u8) -> Result<Above, QueryError> {
-    let head = plan.index.head(node);
+pub(crate) fn read_above(plan: &Plan, head: &Node, root: Cube, c: u8) -> Result<Above, QueryError> {
+    plan.cancel.check()?;
     let mut result = Above::default();
     let complete = plan.takes_all_of(head.cube);
     // The first point of a tree has its root's exponent for a win, and is the least of any larger cell, too.
-    let root = plan.index.root(head.layer).map_or(c, |root| plan.index.head(root).cube.k());
-    let winning = c.min(root) as i8;
+    let winning = c.min(root.k()) as i8;
     for (part, facts) in head.parts.iter().enumerate() {
         // Where everything matches, a point that wins no such cell is the least of none.
         if complete && facts.first_step.win < winning {
             continue;
         }
-        read_part(plan, node, part, Some((c, !complete && !head.leaf)), &mut result.picks, &mut result.missed)?;
+        read_part(plan, head, part, Some((c, !complete && !head.leaf)), &mut result.picks, &mut result.missed)?;
     }
     result.picks.sort_unstable();
     if head.cube.k() >= c {
@@ -158,7 +153,7 @@ fn cells_of(bounds: &LatticeBox, c: u8) -> LatticeBox {
 /// far as the cells meet the region.
 fn read_part(
     plan: &Plan,
-    node: NodeIx,
+    node: &Node,
     part: usize,
     cells: Option<(u8, bool)>,
     picks: &mut Vec<Pick>,
@@ -171,11 +166,11 @@ fn read_part(
         None => outside(bounds),
     };
     let look = Look { skips: &skips, misses: misses.is_some(), positions: true };
-    for found in Part::new(plan, node, part)?.find(&look)? {
+    for found in Part::new(plan, node, part).find(&look)? {
         let first = (found.block * crate::codec::BLOCK_POINTS) as u32;
         for i in found.mask.indices() {
             let key = Key::of(found.content.positions.point(i as usize));
-            picks.push(Pick { key, node, part: part as u32, index: first + i });
+            picks.push(Pick { key, node: node.ix(), part: part as u32, index: first + i });
         }
         let Some(c) = misses else { continue };
         if found.mask.is_all() {
@@ -216,32 +211,31 @@ impl Hole {
 }
 
 /// Searches the nodes below `node` for the least matching points of the holes, which ascend.
-fn fill(plan: &Plan, node: NodeIx, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
-    let mut children: Vec<NodeIx> = plan.index.children(node).collect();
-    children.sort_by_key(|&n| plan.index.head(n).cube.first_key());
-    for child in children {
-        let head = plan.index.head(child);
+fn fill(plan: &Plan, node: &Node, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
+    let mut children: Vec<Node> = plan.nodes.children(node)?.collect();
+    children.sort_by_key(|n| n.cube.first_key());
+    for head in &children {
         let cube = head.cube;
         let from = holes.partition_point(|h| h.floor < cube.first_key().floor(c));
         let to = holes.partition_point(|h| h.floor <= cube.last_key());
         let holes = &mut holes[from..to];
+        plan.cancel.check()?;
         let open = holes.iter().filter(|h| h.is_open(cube, &head.subtree_bounds)).count();
-        if open == 0 || plan.prospect(child, Scope::Subtree)? == Prospect::Nothing {
+        if open == 0 || plan.prospect(head, Scope::Subtree)? == Prospect::Nothing {
             continue;
         }
-        if plan.prospect(child, Scope::Own)? != Prospect::Nothing {
-            fill_from(plan, child, c, holes, open <= FEW_HOLES)?;
+        if plan.prospect(head, Scope::Own)? != Prospect::Nothing {
+            fill_from(plan, head, c, holes, open <= FEW_HOLES)?;
         }
         if !head.leaf {
-            fill(plan, child, c, holes)?;
+            fill(plan, head, c, holes)?;
         }
     }
     Ok(())
 }
 
 /// Offers the matching points of one node to the holes.
-fn fill_from(plan: &Plan, node: NodeIx, c: u8, holes: &mut [Hole], few: bool) -> Result<(), QueryError> {
-    let head = plan.index.head(node);
+fn fill_from(plan: &Plan, head: &Node, c: u8, holes: &mut [Hole], few: bool) -> Result<(), QueryError> {
     for part in 0..head.parts.len() {
         let mut candidates = Vec::new();
         {
@@ -251,11 +245,11 @@ fn fill_from(plan: &Plan, node: NodeIx, c: u8, holes: &mut [Hole], few: bool) ->
                     || few && !holes.iter().any(|h| h.is_open(head.cube, bounds))
             };
             let look = Look { skips: &skips, misses: false, positions: true };
-            for found in Part::new(plan, node, part)?.find(&look)? {
+            for found in Part::new(plan, head, part).find(&look)? {
                 let first = (found.block * crate::codec::BLOCK_POINTS) as u32;
                 for i in found.mask.indices() {
                     let key = Key::of(found.content.positions.point(i as usize));
-                    candidates.push(Pick { key, node, part: part as u32, index: first + i });
+                    candidates.push(Pick { key, node: head.ix(), part: part as u32, index: first + i });
                 }
             }
         }

@@ -24,6 +24,9 @@ pub enum QueryError {
         /// What would do.
         expected: &'static str,
     },
+    /// It was ended ([`Cancel`](super::Cancel)).
+    #[error("the query was cancelled")]
+    Cancelled,
     /// Things that do not go together.
     #[error("{0}")]
     Combination(&'static str),

@@ -5,30 +5,39 @@
 //! [`Answer`]: how many, how good, at what cost.
 
 mod answer;
+mod batches;
 mod block;
+mod cancel;
 mod capacity;
 mod cells;
+mod density;
 mod detail;
 mod error;
 mod filter;
 mod mask;
+mod nearest;
 mod output;
 mod part;
-mod pipeline;
 mod plan;
 mod region;
 mod request;
 mod run;
+mod stream;
 mod summary;
 #[cfg(test)]
 mod tests;
+mod thin;
 mod ties;
 mod view;
 
 pub use answer::{Answer, Statistics};
+pub use batches::Batches;
+pub use cancel::Cancel;
+pub use density::Density;
 pub use detail::Detail;
 pub use error::QueryError;
 pub use filter::{Filter, FilterError};
+pub use nearest::Neighbors;
 pub use output::OutputForm;
 pub use region::{LatticeRegion, Polygons, Region};
 pub use request::{Attributes, Query};

@@ -9,9 +9,10 @@ use crate::codec::{CodecError, ColumnChunk, Decoder, PositionChunk, block_count,
 use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
 use crate::points::{Batch, Column, Positions, ScalarType};
-use crate::store::model::{NodeHead, SLOT_POSITION, SLOT_SCAN, Slot};
-use crate::store::{ChunkBytes, NodeIx, ReadCost};
+use crate::store::model::{SLOT_POSITION, SLOT_SCAN, Slot};
+use crate::store::{CachedBlock, ChunkBytes, Node, NodeIx, ReadCost};
 use std::cell::RefCell;
+use std::sync::Arc;
 
 thread_local! {
     static DECODER: RefCell<Decoder> = RefCell::new(Decoder::new());
@@ -20,7 +21,7 @@ thread_local! {
 /// A part and its chunks as far as they have been read.
 pub(crate) struct Part<'a> {
     plan: &'a Plan,
-    head: &'a NodeHead,
+    head: Node,
     part: usize,
     points: usize,
     chunks: Vec<(Slot, Option<ChunkBytes>)>,
@@ -47,11 +48,15 @@ pub(crate) struct Look<'a> {
 }
 
 impl<'a> Part<'a> {
-    pub fn new(plan: &'a Plan, node: NodeIx, part: usize) -> Result<Self, QueryError> {
-        let head = plan.index.head(node);
+    /// Of a node, by its number.
+    pub fn at(plan: &'a Plan, node: NodeIx, part: usize) -> Result<Self, QueryError> {
+        Ok(Self::new(plan, &plan.nodes.node(node)?, part))
+    }
+
+    pub fn new(plan: &'a Plan, head: &Node, part: usize) -> Self {
         let points = head.parts.get(part).map_or(0, |p| p.points as usize);
         Meter::add(&plan.meter.parts, 1);
-        Ok(Self { plan, head, part, points, chunks: Vec::new() })
+        Self { plan, head: head.clone(), part, points, chunks: Vec::new() }
     }
 
     /// Reads the chunks of these columns that are not there yet.
@@ -63,9 +68,10 @@ impl<'a> Part<'a> {
         let meter = &self.plan.meter;
         let mut cost = ReadCost::default();
         let read =
-            meter.time(Stage::Reading, || self.plan.snapshot.read_part(self.head, self.part, &missing, &mut cost))?;
+            meter.time(Stage::Reading, || self.plan.snapshot.read_part(&self.head, self.part, &missing, &mut cost))?;
         Meter::add(&meter.chunks, cost.rows);
         Meter::add(&meter.bytes_read, cost.bytes);
+        Meter::add(&meter.chunks_cached, cost.cached);
         self.chunks.extend(missing.into_iter().zip(read));
         Ok(())
     }
@@ -115,7 +121,6 @@ impl<'a> Part<'a> {
 
     fn find_with(&self, decoder: &mut Decoder, look: &Look) -> Result<Vec<Found>, QueryError> {
         let plan = self.plan;
-        let meter = &plan.meter;
         let positions = self.positions()?;
         let scans = (plan.scans.is_some() || plan.filter.is_some()).then(|| self.scans()).transpose()?;
         let filter_columns = plan
@@ -131,13 +136,10 @@ impl<'a> Part<'a> {
             }
             let len = block_range(block, self.points).len();
             let placed = plan.classify(bounds);
-            let mut content =
-                Block { len, positions: Positions::default(), scans: BlockScans::One(0), columns: Vec::new() };
-            let decode_positions = |decoder: &mut Decoder, out: &mut Positions| {
+            let mut content = Block::undecoded(len);
+            let decode_positions = |decoder: &mut Decoder, out: &mut Arc<Positions>| {
                 if out.is_empty() {
-                    positions.decode_block(decoder, block, out).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
-                    Meter::add(&meter.blocks, 1);
-                    Meter::add(&meter.points_decoded, len as u64);
+                    *out = self.block_positions(decoder, &positions, block)?;
                 }
                 Ok::<(), QueryError>(())
             };
@@ -166,7 +168,10 @@ impl<'a> Part<'a> {
                 for (slot, ty, chunk) in &filter_columns {
                     let column = match chunk {
                         None => None,
-                        Some(chunk) => Some(self.block_column(decoder, *slot, *ty, chunk, block)?),
+                        Some(chunk) => Some(match self.cached_column(*slot, block) {
+                            Some(column) => column,
+                            None => self.block_column(decoder, *slot, *ty, chunk, block)?,
+                        }),
                     };
                     content.columns.push((*slot, column));
                 }
@@ -190,12 +195,55 @@ impl<'a> Part<'a> {
         if let Some([a, b, c, d, ..]) = chunk.constant() {
             return Ok(BlockScans::One(u32::from_le_bytes([a, b, c, d])));
         }
-        match self.block_column(decoder, SLOT_SCAN, ScalarType::U32, chunk, block)? {
-            Column::U32(scans) => Ok(BlockScans::Each(scans)),
+        match &*self.block_column(decoder, SLOT_SCAN, ScalarType::U32, chunk, block)? {
+            Column::U32(scans) => Ok(BlockScans::Each(scans.clone())),
             _ => Ok(BlockScans::Each(Vec::new())),
         }
     }
 
+    /// What the store's cache has of a block.
+    fn cached(&self, slot: Slot, block: usize) -> Option<CachedBlock> {
+        if !self.plan.keeps_blocks {
+            return None;
+        }
+        let found = self.plan.snapshot.cached_block(&self.head, self.part, slot, block)?;
+        Meter::add(&self.plan.meter.blocks_cached, 1);
+        Some(found)
+    }
+
+    fn keep(&self, slot: Slot, block: usize, decoded: CachedBlock) {
+        if self.plan.keeps_blocks {
+            self.plan.snapshot.keep_block(&self.head, self.part, slot, block, decoded);
+        }
+    }
+
+    fn block_positions(
+        &self,
+        decoder: &mut Decoder,
+        chunk: &PositionChunk,
+        block: usize,
+    ) -> Result<Arc<Positions>, QueryError> {
+        if let Some(CachedBlock::Positions(found)) = self.cached(SLOT_POSITION, block) {
+            return Ok(found);
+        }
+        let len = block_range(block, self.points).len();
+        let mut positions = Positions::with_capacity(len);
+        chunk.decode_block(decoder, block, &mut positions).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
+        Meter::add(&self.plan.meter.blocks, 1);
+        Meter::add(&self.plan.meter.points_decoded, len as u64);
+        let positions = Arc::new(positions);
+        self.keep(SLOT_POSITION, block, CachedBlock::Positions(positions.clone()));
+        Ok(positions)
+    }
+
+    fn cached_column(&self, slot: Slot, block: usize) -> Option<Arc<Column>> {
+        match self.cached(slot, block) {
+            Some(CachedBlock::Column(column)) => Some(column),
+            _ => None,
+        }
+    }
+
+    /// Decodes a block of a column; what the cache has was asked before.
     fn block_column(
         &self,
         decoder: &mut Decoder,
@@ -203,10 +251,12 @@ impl<'a> Part<'a> {
         ty: ScalarType,
         chunk: &ColumnChunk,
         block: usize,
-    ) -> Result<Column, QueryError> {
+    ) -> Result<Arc<Column>, QueryError> {
         let mut column = Column::with_capacity(ty, block_range(block, self.points).len());
         chunk.decode_block(decoder, block, &mut column).map_err(|e| self.damaged(slot, &e))?;
         Meter::add(&self.plan.meter.blocks, 1);
+        let column = Arc::new(column);
+        self.keep(slot, block, CachedBlock::Column(column.clone()));
         Ok(column)
     }
 
@@ -253,12 +303,30 @@ impl<'a> Part<'a> {
         if count == 0 {
             return Ok(Batch::empty(plan.attributes.clone()));
         }
-        let slots: Vec<Slot> = plan.columns.iter().map(|c| c.id).collect();
-        self.read(plan.with_scans.then_some(SLOT_SCAN).into_iter().chain(slots))?;
-        plan.meter.time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.take_with(decoder, found, count)))
+        // Block by block, then column by column: what the filter or the cache has need not be read.
+        let ready: Vec<Vec<Option<Arc<Column>>>> = found
+            .iter()
+            .map(|Found { block, content, mask }| {
+                let column =
+                    |slot: Slot| content.shared_column(slot).cloned().or_else(|| self.cached_column(slot, *block));
+                let none = mask.is_none();
+                plan.columns.iter().map(|asked| if none { None } else { column(asked.id) }).collect()
+            })
+            .collect();
+        let is_ready = |i: usize| found.iter().zip(&ready).all(|(f, ready)| f.mask.is_none() || ready[i].is_some());
+        let missing = plan.columns.iter().enumerate().filter(|(i, _)| !is_ready(*i)).map(|(_, asked)| asked.id);
+        self.read(plan.with_scans.then_some(SLOT_SCAN).into_iter().chain(missing))?;
+        plan.meter
+            .time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.take_with(decoder, found, ready, count)))
     }
 
-    fn take_with(&self, decoder: &mut Decoder, found: &[Found], count: usize) -> Result<Batch, QueryError> {
+    fn take_with(
+        &self,
+        decoder: &mut Decoder,
+        found: &[Found],
+        ready: Vec<Vec<Option<Arc<Column>>>>,
+        count: usize,
+    ) -> Result<Batch, QueryError> {
         let plan = self.plan;
         let mut batch = Batch::empty(plan.attributes.clone());
         batch.positions = Positions::with_capacity(count);
@@ -270,7 +338,7 @@ impl<'a> Part<'a> {
             .iter()
             .map(|c| Ok(self.column(c.id, c.attribute.ty)?.map(|c| c.at(&positions))))
             .collect::<Result<Vec<_>, QueryError>>()?;
-        for Found { block, content, mask } in found {
+        for (Found { block, content, mask }, ready) in found.iter().zip(ready) {
             if mask.is_none() {
                 continue;
             }
@@ -290,33 +358,40 @@ impl<'a> Part<'a> {
             }
             if let Some(scans) = &scans {
                 match self.block_scans(decoder, scans, *block)? {
-                    BlockScans::One(scan) => batch.scans.resize(batch.scans.len() + mask.count(), scan),
+                    BlockScans::One(scan) => {
+                        batch.scans.resize(batch.scans.len() + indices_or(all, &indices, mask), scan)
+                    }
                     BlockScans::Each(each) if all => batch.scans.extend(each),
                     BlockScans::Each(each) => batch.scans.extend(indices.iter().map(|&i| each[i as usize])),
                 }
             }
-            for ((asked, chunk), out) in plan.columns.iter().zip(&chunks).zip(&mut batch.columns) {
-                let Some(chunk) = chunk else {
-                    out.resize(out.len() + mask.count());
-                    continue;
+            for (((asked, chunk), ready), out) in plan.columns.iter().zip(&chunks).zip(ready).zip(&mut batch.columns) {
+                let decoded = match (ready, chunk) {
+                    (Some(column), _) => column,
+                    (None, None) => {
+                        out.resize(out.len() + indices_or(all, &indices, mask));
+                        continue;
+                    }
+                    // Straight to where it belongs.
+                    (None, Some(chunk)) if all && !plan.keeps_blocks => {
+                        chunk.decode_block(decoder, *block, out).map_err(|e| self.damaged(asked.id, &e))?;
+                        Meter::add(&plan.meter.blocks, 1);
+                        continue;
+                    }
+                    (None, Some(chunk)) => self.block_column(decoder, asked.id, asked.attribute.ty, chunk, *block)?,
                 };
                 if all {
-                    chunk.decode_block(decoder, *block, out).map_err(|e| self.damaged(asked.id, &e))?;
-                    Meter::add(&plan.meter.blocks, 1);
-                    continue;
+                    out.append(&decoded);
+                } else {
+                    out.extend_gathered(&decoded, &indices);
                 }
-                let decoded = match content.column(asked.id) {
-                    Some(column) => column,
-                    None => &self.block_column(decoder, asked.id, asked.attribute.ty, chunk, *block)?,
-                };
-                out.extend_gathered(decoded, &indices);
             }
         }
         Ok(batch)
     }
 
-    /// The points at `indices`, ascending, with the attributes asked for.
-    pub fn gather(&mut self, indices: &[u32]) -> Result<Batch, QueryError> {
+    /// The points at `indices`, ascending, or all, with the attributes asked for.
+    pub fn gather(&mut self, indices: Option<&[u32]>) -> Result<Batch, QueryError> {
         self.read([SLOT_POSITION])?;
         let found = self.plan.meter.time(Stage::Decoding, || {
             DECODER.with_borrow_mut(|decoder| {
@@ -324,22 +399,19 @@ impl<'a> Part<'a> {
                 let mut found = Vec::new();
                 for block in 0..block_count(self.points) {
                     let range = block_range(block, self.points);
-                    let here = &indices[indices.partition_point(|&i| (i as usize) < range.start)
-                        ..indices.partition_point(|&i| (i as usize) < range.end)];
-                    if here.is_empty() {
+                    let mask = match indices {
+                        None => Mask::all(range.len()),
+                        Some(indices) => {
+                            let here = &indices[indices.partition_point(|&i| (i as usize) < range.start)
+                                ..indices.partition_point(|&i| (i as usize) < range.end)];
+                            Mask::of_indices(range.len(), here.iter().map(|&i| i as usize - range.start))
+                        }
+                    };
+                    if mask.is_none() {
                         continue;
                     }
-                    let mut content = Block {
-                        len: range.len(),
-                        positions: Positions::default(),
-                        scans: BlockScans::One(0),
-                        columns: Vec::new(),
-                    };
-                    let decoded = positions.decode_block(decoder, block, &mut content.positions);
-                    decoded.map_err(|e| self.damaged(SLOT_POSITION, &e))?;
-                    Meter::add(&self.plan.meter.blocks, 1);
-                    Meter::add(&self.plan.meter.points_decoded, range.len() as u64);
-                    let mask = Mask::of_indices(range.len(), here.iter().map(|&i| i as usize - range.start));
+                    let mut content = Block::undecoded(range.len());
+                    content.positions = self.block_positions(decoder, &positions, block)?;
                     found.push(Found { block, content, mask });
                 }
                 Ok::<_, QueryError>(found)
@@ -347,4 +419,9 @@ impl<'a> Part<'a> {
         })?;
         self.take(&found)
     }
+}
+
+/// How many points are taken of a block.
+fn indices_or(all: bool, indices: &[u32], mask: &Mask) -> usize {
+    if all { mask.len() } else { indices.len() }
 }

@@ -1,6 +1,7 @@
 //! A query on one snapshot: names looked up, numbers on the lattice, and what nodes can hold by their rows alone.
 
-use super::answer::Meter;
+use super::answer::{Answer, Meter};
+use super::cancel::Cancel;
 use super::filter::{BoundFilter, Known, Names, attributes_named};
 use super::mask::Mask;
 use super::region::LatticeRegion;
@@ -10,13 +11,18 @@ use crate::lattice::{BITS, Cube, Lattice, LatticeBox};
 use crate::octree::Metric;
 use crate::points::{Attribute, Positions, ScalarType};
 use crate::store::model::{ScanId, Slot, StoredAttribute};
-use crate::store::{NodeIndex, NodeIx, Snapshot};
+use crate::store::{Node, NodeIx, Nodes, Snapshot};
+use rayon::prelude::*;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
 
 /// A query, ready to run.
 pub(crate) struct Plan {
     pub snapshot: Snapshot,
-    pub index: Arc<NodeIndex>,
+    pub nodes: Nodes,
+    /// The root of every layer that has one.
+    pub roots: Vec<Node>,
     pub lattice: Lattice,
     pub g: u8,
     pub region: LatticeRegion,
@@ -33,7 +39,14 @@ pub(crate) struct Plan {
     pub attributes: Arc<[Attribute]>,
     /// Are the scans of the points returned?
     pub with_scans: bool,
+    /// Threads that decode; `None`: all of the pool.
+    pub threads: Option<usize>,
+    pub cancel: Cancel,
+    /// Do decoded blocks go through the store's cache? Not for large answers: they would drive out everything else, and
+    /// be copied once more.
+    pub keeps_blocks: bool,
     pub meter: Meter,
+    start: Instant,
 }
 
 /// What is known of some points by the rows alone.
@@ -58,6 +71,7 @@ pub(crate) enum Scope {
 
 impl Plan {
     pub fn new(query: &Query, snapshot: &Snapshot) -> Result<Self, QueryError> {
+        let start = Instant::now();
         let site = snapshot.site();
         query.region.check_coordinates(site.crs.as_ref(), bounds_in_plan(snapshot))?;
         let names = Names { attributes: snapshot.attributes(), scans: snapshot.scans(), lattice: &site.lattice };
@@ -67,9 +81,11 @@ impl Plan {
         let scans = matching_scans(query, snapshot)?;
         let columns = columns(&query.attributes, scans.as_deref(), snapshot)?;
         let attributes = columns.iter().map(|c| c.attribute.clone()).collect();
+        let nodes = snapshot.nodes();
         Ok(Self {
             snapshot: snapshot.clone(),
-            index: snapshot.index()?,
+            roots: nodes.roots()?,
+            nodes,
             lattice: site.lattice.clone(),
             g: site.g,
             region: query.region.on_lattice(&site.lattice)?,
@@ -80,7 +96,11 @@ impl Plan {
             columns,
             attributes,
             with_scans: query.with_scans,
+            threads: query.threads,
+            cancel: query.cancel.clone().unwrap_or_default(),
+            keeps_blocks: false,
             meter: Meter::default(),
+            start,
         })
     }
 
@@ -91,7 +111,12 @@ impl Plan {
 
     /// The largest root of all layers.
     pub fn root(&self) -> Option<Cube> {
-        self.index.roots().map(|r| self.index.head(r).cube).max_by_key(|c| c.k())
+        self.roots.iter().map(|r| r.cube).max_by_key(|c| c.k())
+    }
+
+    /// The layer of a node, by its number.
+    pub fn layer_of(&self, node: NodeIx) -> Option<u16> {
+        self.roots.iter().find(|root| root.subtree().contains(&node)).map(|root| root.layer)
     }
 
     /// Looks at the points on a box's maximum faces, too, to count them.
@@ -129,8 +154,7 @@ impl Plan {
     }
 
     /// What a node, or its subtree, can hold.
-    pub fn prospect(&self, node: NodeIx, scope: Scope) -> Result<Prospect, QueryError> {
-        let head = self.index.head(node);
+    pub fn prospect(&self, head: &Node, scope: Scope) -> Result<Prospect, QueryError> {
         let bounds = match scope {
             Scope::Own => match &head.own_bounds {
                 Some(bounds) => bounds,
@@ -153,7 +177,7 @@ impl Plan {
             all &= here().all(among);
         }
         if let Some(filter) = &self.filter {
-            let zones = self.snapshot.zones(node)?;
+            let zones = self.nodes.zones(head)?;
             let ranges = if scope == Scope::Own { &zones.own } else { &zones.subtree };
             let scans: Vec<ScanId> = here().collect();
             if !filter.may_match(&Known { ranges, scans: &scans, bounds }) {
@@ -165,36 +189,80 @@ impl Plan {
     }
 
     /// Calls `visit` for every node whose subtree can match, in pre-order; `visit` says whether to go on below it.
-    pub fn walk(&self, mut visit: impl FnMut(NodeIx) -> Result<bool, QueryError>) -> Result<(), QueryError> {
+    pub fn walk(&self, visit: impl FnMut(&Node) -> Result<bool, QueryError>) -> Result<(), QueryError> {
+        self.walk_from(self.roots.iter().rev().cloned().collect(), visit)
+    }
+
+    /// The same from these nodes, the last first.
+    pub fn walk_from(
+        &self,
+        mut open: Vec<Node>,
+        mut visit: impl FnMut(&Node) -> Result<bool, QueryError>,
+    ) -> Result<(), QueryError> {
         let mut visited = 0;
-        for layer in 0..self.index.layers() {
-            let nodes = self.index.layer(u16::try_from(layer).unwrap_or(u16::MAX));
-            let mut node = nodes.start;
-            while node < nodes.end {
-                visited += 1;
-                let skip = self.prospect(node, Scope::Subtree)? == Prospect::Nothing || !visit(node)?;
-                node = if skip { self.index.subtree(node).end } else { node + 1 };
+        while let Some(node) = open.pop() {
+            visited += 1;
+            self.cancel.check()?;
+            if self.prospect(&node, Scope::Subtree)? != Prospect::Nothing && visit(&node)? {
+                let first = open.len();
+                open.extend(self.nodes.children(&node)?);
+                open[first..].reverse();
             }
         }
         Meter::add(&self.meter.nodes_visited, visited);
         Ok(())
     }
 
+    /// Decides whether decoded blocks are kept, when so many points are to be read.
+    pub fn reads(&mut self, points: u64) {
+        let columns = self.columns.iter().map(|c| c.attribute.ty.size());
+        let filter = self.filter_columns.iter().map(|c| c.1.size());
+        let point_bytes = 24 + columns.chain(filter).sum::<usize>() as u64;
+        self.keeps_blocks = points.saturating_mul(point_bytes) <= self.snapshot.kept_block_bytes() / 4;
+    }
+
+    /// Does `work` for each of the items, on the query's threads; the results are in their order.
+    pub fn each<T: Send, R: Send>(
+        &self,
+        items: Vec<T>,
+        work: impl Fn(T) -> Result<R, QueryError> + Sync,
+    ) -> Result<Vec<R>, QueryError> {
+        if self.threads == Some(1) {
+            return items.into_iter().map(work).collect();
+        }
+        // Collected before an error is picked, so that of several it is always the first.
+        items.into_par_iter().map(&work).collect::<Vec<_>>().into_iter().collect()
+    }
+
+    /// Tasks that are worked on together, where that is done in rounds: enough that no thread waits for long.
+    pub fn window(&self) -> usize {
+        16 * self.threads.unwrap_or_else(rayon::current_num_threads)
+    }
+
+    /// Adds to an answer what is known in the end.
+    pub fn finish(&self, answer: Answer) -> Answer {
+        let on_faces = self.meter.on_maximum_faces.load(Ordering::Relaxed);
+        Answer {
+            region_misses_site: self.region_misses_site(),
+            on_maximum_faces: self.taken.is_some().then_some(on_faces),
+            statistics: self.meter.statistics(self.start.elapsed()),
+            ..answer
+        }
+    }
+
     /// At most how many points an answer has: at each cell exponent, and in all.
     pub fn most_points(&self) -> Result<MostPoints, QueryError> {
         let mut most = MostPoints { by_cell: [0; BITS as usize + 1], all: 0 };
-        self.walk(|node| {
-            let head = self.index.head(node);
+        self.walk(|head| {
             let own = match &self.scans {
                 None => head.own_points,
                 // The winner of a cell may be of any scan, so cells are counted in full.
                 Some(scans) => head.scans.iter().filter(|s| scans.binary_search(&s.scan).is_ok()).map(|s| s.own).sum(),
             };
-            if self.prospect(node, Scope::Own)? != Prospect::Nothing {
+            if self.prospect(head, Scope::Own)? != Prospect::Nothing {
                 most.all += own;
             }
-            let is_root = self.index.parent(node).is_none();
-            let finest = if is_root { BITS } else { head.cube.k().saturating_sub(self.g) };
+            let finest = if head.is_root() { BITS } else { head.cube.k().saturating_sub(self.g) };
             most.by_cell[..=usize::from(finest)].iter_mut().for_each(|n| *n += head.own_points);
             Ok(true)
         })?;
@@ -204,8 +272,8 @@ impl Plan {
     /// Does the region lie outside everything that is stored?
     pub fn region_misses_site(&self) -> bool {
         let region = self.taken.as_ref().unwrap_or(&self.region);
-        let outside = |r| region.classify(&self.index.head(r).subtree_bounds) == Containment::Outside;
-        !self.index.is_empty() && self.index.roots().all(outside)
+        let outside = |r: &Node| region.classify(&r.subtree_bounds) == Containment::Outside;
+        !self.roots.is_empty() && self.roots.iter().all(outside)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What is asked for.
 
-use super::{Detail, Filter, Region};
+use super::{Cancel, Detail, Filter, Region};
 use crate::geometry::Camera;
 
 /// Which attributes an answer has.
@@ -49,6 +49,8 @@ pub struct Query {
     pub(super) attributes: Attributes,
     pub(super) with_scans: bool,
     pub(super) view: Option<(Camera, f64)>,
+    pub(super) threads: Option<usize>,
+    pub(super) cancel: Option<Cancel>,
 }
 
 impl Query {
@@ -111,6 +113,21 @@ impl Query {
     #[must_use]
     pub fn with_scans(mut self, with_scans: bool) -> Self {
         self.with_scans = with_scans;
+        self
+    }
+
+    /// Decodes on so many threads at most (at least one); with one, on the thread that asks. Otherwise on all of the pool
+    /// that the thread belongs to.
+    #[must_use]
+    pub fn threads(mut self, threads: usize) -> Self {
+        self.threads = Some(threads.max(1));
+        self
+    }
+
+    /// May be ended by this token.
+    #[must_use]
+    pub fn cancel(mut self, cancel: &Cancel) -> Self {
+        self.cancel = Some(cancel.clone());
         self
     }
 

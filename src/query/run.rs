@@ -1,39 +1,33 @@
 //! Running a query: full detail, a level or a capacity, a view.
 
 use super::answer::{Answer, Meter, Stage};
+use super::batches::{Batches, Prepared};
 use super::capacity::{self, Chosen};
 use super::cells::Pick;
 use super::part::{Found, Look, Part};
-use super::pipeline::deliver;
 use super::plan::{Plan, Prospect, Scope};
+use super::stream::Source;
+use super::thin::{self, Unit, Units};
 use super::view::{ViewCut, select_view};
 use super::{Detail, Query, QueryError, Region, Summary};
 use crate::geometry::{Camera, Containment};
 use crate::lattice::LatticeBox;
 use crate::octree::even_order;
 use crate::points::Batch;
-use crate::store::{NodeIx, Snapshot};
+use crate::store::model::PartHead;
+use crate::store::{Node, NodeIx, Snapshot};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::sync::Arc;
 
-/// Where points go; `None`: they are only counted.
-type Sink<'a> = Option<&'a mut dyn FnMut(Batch) -> ControlFlow<()>>;
-
-/// A part to be read, and what is known of its points.
-struct Task {
-    node: NodeIx,
-    part: usize,
-    prospect: Prospect,
-}
-
-/// Points of one part.
-struct Picked {
-    node: NodeIx,
-    part: usize,
-    /// Ascending; `None`: all.
-    indices: Option<Vec<u32>>,
+/// What is read and handed on together.
+pub(crate) enum Task {
+    /// The matching points of a part.
+    Part { node: NodeIx, part: usize, points: u32, prospect: Prospect },
+    /// Some points of a part, of which all of `points` are read.
+    Picked { node: NodeIx, part: usize, points: u32, indices: Option<Vec<u32>> },
+    /// The points of a level in a subtree.
+    Unit(Unit),
 }
 
 /// Parts that are matched together, in a view under a filter.
@@ -51,7 +45,91 @@ impl Query {
         snapshot: &Snapshot,
         mut sink: impl FnMut(Batch) -> ControlFlow<()>,
     ) -> Result<Answer, QueryError> {
-        self.execute(snapshot, Some(&mut sink))
+        let mut batches = self.batches(snapshot)?;
+        while let Some(batch) = batches.next() {
+            let batch = batch?;
+            if batches.plan().meter.time(Stage::Delivering, || sink(batch)).is_break() {
+                break;
+            }
+        }
+        Ok(batches.answer())
+    }
+
+    /// The points as an iterator of batches, in an order that is always the same. Only what is asked for is read, and a
+    /// little ahead; dropping it ends the query.
+    ///
+    /// ```
+    /// use esker::lattice::Lattice;
+    /// use esker::query::Query;
+    /// use esker::store::{SiteOptions, Store};
+    ///
+    /// # let store = Store::in_memory(SiteOptions::new(Lattice::uniform(0.001)?))?;
+    /// let mut batches = Query::new().batches(&store.snapshot()?)?;
+    /// let mut points = 0;
+    /// for batch in &mut batches {
+    ///     points += batch?.len() as u64;
+    /// }
+    /// assert_eq!(batches.answer().points, points);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// As [`Query::run`]; what goes wrong later is an item of the iterator, its last.
+    pub fn batches(&self, snapshot: &Snapshot) -> Result<Batches, QueryError> {
+        Ok(Batches::new(self.prepare(snapshot, false)?))
+    }
+
+    /// Folds the points on all threads: every batch into a fresh `zero` by `add`, and these into the first, in the order
+    /// of the batches, by `merge`. So the result does not depend on the threads.
+    ///
+    /// ```
+    /// use esker::lattice::Lattice;
+    /// use esker::query::Query;
+    /// use esker::store::{SiteOptions, Store};
+    ///
+    /// # let store = Store::in_memory(SiteOptions::new(Lattice::uniform(0.001)?))?;
+    /// let highest = |a: &mut u64, b: u64| *a = (*a).max(b);
+    /// let add = |top: &mut u64, batch: esker::points::Batch| {
+    ///     batch.positions.z.iter().for_each(|&z| highest(top, z));
+    /// };
+    /// let (top, answer) = Query::new().positions_only().fold(&store.snapshot()?, || 0, add, highest)?;
+    /// assert_eq!((top, answer.points), (0, 0));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// As [`Query::run`].
+    pub fn fold<A: Send>(
+        &self,
+        snapshot: &Snapshot,
+        zero: impl Fn() -> A + Sync,
+        add: impl Fn(&mut A, Batch) + Sync,
+        mut merge: impl FnMut(&mut A, A),
+    ) -> Result<(A, Answer), QueryError> {
+        let Prepared { plan, mut source, mut answer } = self.prepare(snapshot, false)?;
+        let mut all = zero();
+        answer.points = 0;
+        loop {
+            let window: Vec<Task> = source.by_ref().take(plan.window()).collect::<Result<_, _>>()?;
+            if window.is_empty() {
+                break;
+            }
+            let folded = plan.each(window, |task| {
+                let batch = work(&plan, task)?;
+                let (points, mut one) = (batch.len() as u64, zero());
+                if points > 0 {
+                    add(&mut one, batch);
+                }
+                Ok((points, one))
+            })?;
+            for (points, one) in folded.into_iter().filter(|f| f.0 > 0) {
+                answer.points += points;
+                merge(&mut all, one);
+            }
+        }
+        Ok((all, plan.finish(answer)))
     }
 
     /// Counts the points, and reads only what that needs.
@@ -60,7 +138,14 @@ impl Query {
     ///
     /// As [`Query::run`].
     pub fn count(&self, snapshot: &Snapshot) -> Result<Answer, QueryError> {
-        self.execute(snapshot, None)
+        let Prepared { plan, mut source, mut answer } = self.prepare(snapshot, true)?;
+        loop {
+            let window: Vec<Task> = source.by_ref().take(plan.window()).collect::<Result<_, _>>()?;
+            if window.is_empty() {
+                return Ok(plan.finish(answer));
+            }
+            answer.points += plan.each(window, |task| count(&plan, &task))?.into_iter().sum::<u64>();
+        }
     }
 
     /// Runs the query and gives all its points as one batch.
@@ -69,19 +154,17 @@ impl Query {
     ///
     /// As [`Query::run`].
     pub fn collect(&self, snapshot: &Snapshot) -> Result<(Batch, Answer), QueryError> {
-        let mut all: Option<Batch> = None;
-        let answer = self.run(snapshot, |batch| {
-            match &mut all {
-                None => all = Some(batch),
-                Some(all) => all.append(&batch),
+        let mut batches = self.batches(snapshot)?;
+        let mut all = Batch::empty(batches.attributes().clone());
+        for batch in &mut batches {
+            let batch = batch?;
+            if all.is_empty() {
+                all = batch;
+            } else {
+                all.append(&batch);
             }
-            ControlFlow::Continue(())
-        })?;
-        let batch = match all {
-            Some(batch) => batch,
-            None => Batch::empty(Plan::new(self, snapshot)?.attributes),
-        };
-        Ok((batch, answer))
+        }
+        Ok((all, batches.answer()))
     }
 
     /// An empty summary for the batches of this query. They must carry their scans ([`Query::with_scans`]) if some scan
@@ -99,12 +182,17 @@ impl Query {
         }))
     }
 
-    fn execute(&self, snapshot: &Snapshot, sink: Sink) -> Result<Answer, QueryError> {
-        let start = Instant::now();
+    /// Decides what is to be read. When the points are only counted, those that are known already are in the answer.
+    fn prepare(&self, snapshot: &Snapshot, counting: bool) -> Result<Prepared, QueryError> {
         let mut plan = Plan::new(self, snapshot)?;
         let root = plan.root();
         let cell = self.detail.cell(root, plan.g, plan.lattice.quantum_f64())?;
-        let mut answer = match (&self.view, cell, self.capacity) {
+        let listed = |plan: &mut Plan, (tasks, answer): (Vec<Task>, Answer)| {
+            plan.reads(tasks.iter().map(points).sum());
+            let tasks: Source<Task> = Box::new(tasks.into_iter().map(Ok));
+            (tasks, answer)
+        };
+        let (source, answer) = match (&self.view, cell, self.capacity) {
             (Some((camera, max_error_px)), ..) => {
                 if self.detail != Detail::Everything {
                     return Err(QueryError::Combination(
@@ -115,26 +203,86 @@ impl Query {
                     let (what, value) = ("the pixel error", *max_error_px);
                     return Err(QueryError::Detail { what, value, expected: "0 or more" });
                 }
-                run_view(&plan, camera, *max_error_px, self.capacity, sink)?
+                let chosen = view(&plan, camera, *max_error_px, self.capacity, counting)?;
+                listed(&mut plan, chosen)
             }
-            (None, None, None) => run_everything(&mut plan, &self.region, sink)?,
-            (None, Some(cell), None) => {
-                let chosen = plan.meter.time(Stage::Selecting, || capacity::level(&plan, cell))?;
-                run_chosen(&plan, chosen, sink)?
+            (None, None, None) => {
+                let all = everything(&mut plan, &self.region, counting)?;
+                listed(&mut plan, all)
             }
+            (None, Some(cell), None) => match plan.roots.as_slice() {
+                [root] => {
+                    let bound = plan.metric().step_bound(cell as i8, 7);
+                    let root = root.clone();
+                    let plan = Arc::new(plan);
+                    let units: Source<Task> = Box::new(Units::new(plan.clone(), root, cell));
+                    return Ok(Prepared { plan, source: units, answer: answer(0, Some(bound)) });
+                }
+                // The least of a cell may be of any layer.
+                _ => {
+                    let chosen = plan.meter.time(Stage::Selecting, || capacity::level(&plan, cell))?;
+                    let chosen = picked(&plan, chosen, counting)?;
+                    listed(&mut plan, chosen)
+                }
+            },
             (None, cell, Some(capacity)) => {
                 let enough = cell.is_none() && plan.most_points()?.all <= capacity;
-                if enough {
-                    run_everything(&mut plan, &self.region, sink)?
+                let chosen = if enough {
+                    everything(&mut plan, &self.region, counting)?
                 } else {
                     let chosen = plan.meter.time(Stage::Selecting, || capacity::limited(&plan, cell, capacity))?;
-                    run_chosen(&plan, chosen, sink)?
-                }
+                    picked(&plan, chosen, counting)?
+                };
+                listed(&mut plan, chosen)
             }
         };
-        answer.region_misses_site = plan.region_misses_site();
-        answer.statistics = plan.meter.statistics(start.elapsed());
-        Ok(answer)
+        Ok(Prepared { plan: Arc::new(plan), source, answer })
+    }
+}
+
+/// Does a task.
+pub(crate) fn work(plan: &Plan, task: Task) -> Result<Batch, QueryError> {
+    plan.cancel.check()?;
+    match task {
+        Task::Part { node, part, prospect, .. } => {
+            let mut part = Part::at(plan, node, part)?;
+            if prospect == Prospect::Everything {
+                return if plan.keeps_blocks { part.gather(None) } else { part.whole() };
+            }
+            let found = part.find(&Look { skips: &outside(plan), misses: false, positions: true })?;
+            part.take(&found)
+        }
+        Task::Picked { node, part, points, indices } => {
+            let mut part = Part::at(plan, node, part)?;
+            match indices {
+                Some(indices) if indices.len() < points as usize => part.gather(Some(&indices)),
+                _ if plan.keeps_blocks => part.gather(None),
+                _ => part.whole(),
+            }
+        }
+        Task::Unit(unit) => thin::batch(plan, &unit),
+    }
+}
+
+/// The points that a task takes in, for keeping memory bounded.
+pub(crate) fn points(task: &Task) -> u64 {
+    match task {
+        Task::Part { points, .. } | Task::Picked { points, .. } => u64::from(*points),
+        Task::Unit(unit) => unit.points(),
+    }
+}
+
+/// The points that a task would give.
+fn count(plan: &Plan, task: &Task) -> Result<u64, QueryError> {
+    plan.cancel.check()?;
+    match task {
+        Task::Part { node, part, .. } => {
+            let found =
+                Part::at(plan, *node, *part)?.find(&Look { skips: &outside(plan), misses: false, positions: false })?;
+            Ok(found.iter().map(|f| f.mask.count() as u64).sum())
+        }
+        Task::Picked { points, indices, .. } => Ok(indices.as_ref().map_or(u64::from(*points), |i| i.len() as u64)),
+        Task::Unit(unit) => Ok(thin::picks(plan, unit)?.len() as u64),
     }
 }
 
@@ -147,134 +295,100 @@ fn outside(plan: &Plan) -> impl Fn(&LatticeBox) -> bool + '_ {
 }
 
 /// Every matching point.
-fn run_everything(plan: &mut Plan, region: &Region, sink: Sink) -> Result<Answer, QueryError> {
-    let has_faces = matches!(region, Region::Box { .. });
-    if has_faces {
+fn everything(plan: &mut Plan, region: &Region, counting: bool) -> Result<(Vec<Task>, Answer), QueryError> {
+    if matches!(region, Region::Box { .. }) {
         plan.count_faces(region)?;
     }
     let plan = &*plan;
     let mut tasks = Vec::new();
     let mut known = 0;
-    let counting = sink.is_none();
     plan.meter.time(Stage::Selecting, || {
         plan.walk(|node| {
             let prospect = plan.prospect(node, Scope::Own)?;
-            let head = plan.index.head(node);
             if prospect == Prospect::Everything && counting {
-                known += head.own_points;
+                known += node.own_points;
             } else if prospect != Prospect::Nothing {
                 Meter::add(&plan.meter.nodes, 1);
-                tasks.extend((0..head.parts.len()).map(|part| Task { node, part, prospect }));
+                let task = |(part, facts): (usize, &PartHead)| {
+                    let (node, points) = (node.ix(), facts.points);
+                    Task::Part { node, part, points, prospect }
+                };
+                tasks.extend(node.parts.iter().enumerate().map(task));
             }
             Ok(true)
         })
     })?;
-    let points = match sink {
-        None => known + count(plan, &tasks)?,
-        Some(sink) => {
-            let work = |task: &Task| {
-                let mut part = Part::new(plan, task.node, task.part)?;
-                if task.prospect == Prospect::Everything {
-                    return part.whole();
-                }
-                let look = Look { skips: &outside(plan), misses: false, positions: true };
-                let found = part.find(&look)?;
-                part.take(&found)
-            };
-            let points = |t: &Task| u64::from(plan.index.head(t.node).parts[t.part].points);
-            deliver(&tasks, points, work, &plan.meter, sink)?
-        }
-    };
-    let on_maximum_faces = has_faces.then(|| plan.meter.on_maximum_faces.load(Ordering::Relaxed));
-    Ok(Answer { on_maximum_faces, ..answer(points, Some(0.0)) })
-}
-
-/// The matching points of these parts.
-fn count(plan: &Plan, tasks: &[Task]) -> Result<u64, QueryError> {
-    let counts = tasks.par_iter().map(|task| {
-        let look = Look { skips: &outside(plan), misses: false, positions: false };
-        let found = Part::new(plan, task.node, task.part)?.find(&look)?;
-        Ok(found.iter().map(|f| f.mask.count() as u64).sum::<u64>())
-    });
-    // Collected before they are summed, so that of several errors it is always the first.
-    Ok(counts.collect::<Result<Vec<_>, QueryError>>()?.into_iter().sum())
+    Ok((tasks, answer(known, Some(0.0))))
 }
 
 /// Points that were chosen by their places.
-fn run_chosen(plan: &Plan, chosen: Chosen, sink: Sink) -> Result<Answer, QueryError> {
+fn picked(plan: &Plan, chosen: Chosen, counting: bool) -> Result<(Vec<Task>, Answer), QueryError> {
     let Chosen { mut picks, error_bound } = chosen;
-    let points = picks.len() as u64;
-    let Some(sink) = sink else { return Ok(answer(points, error_bound)) };
+    let answer = answer(picks.len() as u64, error_bound);
+    if counting {
+        return Ok((Vec::new(), answer));
+    }
     picks.par_sort_unstable_by_key(|p| (p.node, p.part, p.index));
-    let same = |a: &Pick, b: &Pick| (a.node, a.part) == (b.node, b.part);
-    let tasks: Vec<Picked> = picks
-        .chunk_by(same)
-        .map(|run| Picked {
-            node: run[0].node,
-            part: run[0].part as usize,
-            indices: Some(run.iter().map(|p| p.index).collect()),
-        })
-        .collect();
-    let nodes = tasks.chunk_by(|a, b| a.node == b.node).count();
-    Meter::add(&plan.meter.nodes, nodes as u64);
-    let points = deliver_picked(plan, &tasks, sink)?;
-    Ok(answer(points, error_bound))
+    let tasks = by_part(plan, &picks)?;
+    let node = |task: &Task| match task {
+        Task::Picked { node, .. } => Some(*node),
+        _ => None,
+    };
+    Meter::add(&plan.meter.nodes, tasks.chunk_by(|a, b| node(a) == node(b)).count() as u64);
+    Ok((tasks, answer))
 }
 
-fn deliver_picked(
-    plan: &Plan,
-    tasks: &[Picked],
-    sink: &mut dyn FnMut(Batch) -> ControlFlow<()>,
-) -> Result<u64, QueryError> {
-    let work = |task: &Picked| {
-        let mut part = Part::new(plan, task.node, task.part)?;
-        let all = plan.index.head(task.node).parts[task.part].points as usize;
-        match &task.indices {
-            Some(indices) if indices.len() < all => part.gather(indices),
-            _ => part.whole(),
-        }
-    };
-    // What is read is the whole part.
-    let points = |t: &Picked| u64::from(plan.index.head(t.node).parts[t.part].points);
-    deliver(tasks, points, work, &plan.meter, sink)
+/// A task for each part; the picks are in the order of the parts.
+pub(crate) fn by_part(plan: &Plan, picks: &[Pick]) -> Result<Vec<Task>, QueryError> {
+    let same = |a: &Pick, b: &Pick| (a.node, a.part) == (b.node, b.part);
+    picks
+        .chunk_by(same)
+        .map(|run| {
+            let (node, part) = (run[0].node, run[0].part as usize);
+            let points = plan.nodes.node(node)?.parts[part].points;
+            Ok(Task::Picked { node, part, points, indices: Some(run.iter().map(|p| p.index).collect()) })
+        })
+        .collect()
 }
 
 /// What a camera needs.
-fn run_view(
+fn view(
     plan: &Plan,
     camera: &Camera,
     max_error_px: f64,
     capacity: Option<u64>,
-    sink: Sink,
-) -> Result<Answer, QueryError> {
-    let (tasks, mut answer) = if plan.is_unfiltered() && plan.region.is_everything() {
-        let selection = plan
-            .meter
-            .time(Stage::Selecting, || select_view(&plan.index, &plan.lattice, plan.g, camera, max_error_px, capacity));
+    counting: bool,
+) -> Result<(Vec<Task>, Answer), QueryError> {
+    let (tasks, answer) = if plan.is_unfiltered() && plan.region.is_everything() {
+        let selection = plan.meter.time(Stage::Selecting, || {
+            select_view(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, capacity)
+        })?;
         Meter::add(&plan.meter.nodes_visited, selection.nodes_visited);
         let picked = selection.parts.iter().map(|selected| {
             let (node, part) = (selected.node, selected.part as usize);
-            let all = plan.index.head(node).parts[part].points;
+            let all = plan.nodes.node(node)?.parts[part].points;
             let some = || {
                 let mut indices: Vec<u32> = even_order(all).take(selected.points as usize).collect();
                 indices.sort_unstable();
                 indices
             };
-            Picked { node, part, indices: (selected.points < all).then(some) }
+            Ok(Task::Picked { node, part, points: all, indices: (selected.points < all).then(some) })
         });
         let (bound, px) = (selection.error_bound, selection.error_bound_px);
         let answer = Answer { points: selection.points, error_bound: bound, error_bound_px: px, ..Answer::default() };
         // Only what is to be delivered is worth listing point by point.
-        (if sink.is_some() { picked.collect() } else { Vec::new() }, answer)
+        (if counting { Vec::new() } else { picked.collect::<Result<_, QueryError>>()? }, answer)
     } else {
         plan.meter.time(Stage::Selecting, || filtered_view(plan, camera, max_error_px, capacity))?
     };
-    if let Some(sink) = sink {
-        let nodes: std::collections::BTreeSet<NodeIx> = tasks.iter().map(|t| t.node).collect();
-        Meter::add(&plan.meter.nodes, nodes.len() as u64);
-        answer.points = deliver_picked(plan, &tasks, sink)?;
-    }
-    Ok(answer)
+    let node = |task: &Task| match task {
+        Task::Picked { node, .. } => Some(*node),
+        _ => None,
+    };
+    let nodes: std::collections::BTreeSet<NodeIx> = tasks.iter().filter_map(node).collect();
+    Meter::add(&plan.meter.nodes, nodes.len() as u64);
+    // They are counted once more as they are handed on.
+    if counting { Ok((Vec::new(), answer)) } else { Ok((tasks, answer)) }
 }
 
 /// The same sequence of parts, of which only the matching points count.
@@ -286,27 +400,21 @@ fn filtered_view(
     camera: &Camera,
     max_error_px: f64,
     capacity: Option<u64>,
-) -> Result<(Vec<Picked>, Answer), QueryError> {
-    let mut failure = None;
-    let may = |node| match plan.prospect(node, Scope::Subtree) {
-        Ok(prospect) => prospect != Prospect::Nothing,
-        Err(error) => {
-            failure.get_or_insert(error);
-            false
-        }
-    };
-    let mut cut = ViewCut::new(&plan.index, &plan.lattice, plan.g, camera, max_error_px, may);
-    let mut tasks: Vec<Picked> = Vec::new();
+) -> Result<(Vec<Task>, Answer), QueryError> {
+    let may = |node: &Node| Ok::<_, QueryError>(plan.prospect(node, Scope::Subtree)? != Prospect::Nothing);
+    let mut cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, may)?;
+    let mut tasks: Vec<Task> = Vec::new();
     let mut left = capacity.unwrap_or(u64::MAX);
     let mut total = 0;
     let mut cut_short = false;
     while left > 0 {
-        let window: Vec<(NodeIx, usize)> = std::iter::from_fn(|| cut.advance()).take(VIEW_WINDOW).collect();
+        let window = std::iter::from_fn(|| cut.advance().transpose()).take(VIEW_WINDOW);
+        let window: Vec<(Node, usize)> = window.collect::<Result<_, _>>()?;
         if window.is_empty() {
             break;
         }
-        let matched = window.par_iter().map(|&(node, part)| matching_indices(plan, node, part));
-        for (&(node, part), indices) in window.iter().zip(matched.collect::<Result<Vec<_>, _>>()?) {
+        let matched = plan.each(window.clone(), |(node, part)| matching_indices(plan, &node, part))?;
+        for ((node, part), indices) in window.iter().zip(matched) {
             if indices.is_empty() {
                 continue;
             }
@@ -316,7 +424,7 @@ fn filtered_view(
             }
             let indices = if indices.len() as u64 > left {
                 cut_short = true;
-                let all = plan.index.head(node).parts[part].points;
+                let all = node.parts[*part].points;
                 let matches = |i: &u32| indices.binary_search(i).is_ok();
                 let mut some: Vec<u32> = even_order(all).filter(matches).take(left as usize).collect();
                 some.sort_unstable();
@@ -326,23 +434,20 @@ fn filtered_view(
             };
             left -= indices.len() as u64;
             total += indices.len() as u64;
-            tasks.push(Picked { node, part, indices: Some(indices) });
+            let (node, part, points) = (node.ix(), *part, node.parts[*part].points);
+            tasks.push(Task::Picked { node, part, points, indices: Some(indices) });
         }
     }
     let complete = !cut_short && cut.is_complete();
     Meter::add(&plan.meter.nodes_visited, cut.visited());
-    drop(cut);
-    if let Some(error) = failure {
-        return Err(error);
-    }
     let bound = complete.then_some(0.0);
     Ok((tasks, Answer { points: total, error_bound: bound, error_bound_px: bound, ..Answer::default() }))
 }
 
 /// The points of a part that match, by index, ascending.
-fn matching_indices(plan: &Plan, node: NodeIx, part: usize) -> Result<Vec<u32>, QueryError> {
+fn matching_indices(plan: &Plan, node: &Node, part: usize) -> Result<Vec<u32>, QueryError> {
     let look = Look { skips: &outside(plan), misses: false, positions: false };
-    let found = Part::new(plan, node, part)?.find(&look)?;
+    let found = Part::new(plan, node, part).find(&look)?;
     let indices = found.iter().flat_map(|Found { block, mask, .. }| {
         let first = (block * crate::codec::BLOCK_POINTS) as u32;
         mask.indices().into_iter().map(move |i| first + i)

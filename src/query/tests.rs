@@ -1,5 +1,6 @@
 //! Queries against brute force on the points themselves.
 
+mod engine;
 mod stores;
 mod views;
 

@@ -10,12 +10,12 @@ use std::collections::HashMap;
 
 /// Puts runs of picks with equal keys, which are in key order, into the canonical order of points.
 pub(crate) fn settle(plan: &Plan, picks: &mut [Pick]) -> Result<(), QueryError> {
-    if plan.index.roots().count() < 2 {
+    if plan.roots.len() < 2 {
         return Ok(());
     }
     let mut parts = Parts { plan, decoder: Decoder::new(), decoded: HashMap::new() };
     for run in picks.chunk_by_mut(|a, b| a.key == b.key) {
-        let layer = |pick: &Pick| plan.index.head(pick.node).layer;
+        let layer = |pick: &Pick| plan.layer_of(pick.node);
         let first = layer(&run[0]);
         if run.iter().any(|pick| layer(pick) != first) {
             let mut ranked = run.iter().map(|p| Ok((parts.record(p)?, *p))).collect::<Result<Vec<_>, QueryError>>()?;
@@ -42,8 +42,8 @@ impl Parts<'_> {
         let snapshot = &self.plan.snapshot;
         let place = (pick.node, pick.part);
         if !self.decoded.contains_key(&place) {
-            let head = self.plan.index.head(pick.node);
-            let part = decode_part(snapshot, head, pick.part as usize, &mut self.decoder)?;
+            let head = self.plan.nodes.node(pick.node)?;
+            let part = decode_part(snapshot, &head, pick.part as usize, &mut self.decoder)?;
             self.decoded.insert(place, part);
         }
         let part = &self.decoded[&place];

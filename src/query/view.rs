@@ -8,7 +8,7 @@ use crate::geometry::{Camera, Containment, DVec3, Frustum, WorldBox};
 use crate::lattice::{BIAS, BITS, Lattice, LatticeBox, NodeKey};
 use crate::octree::{Metric, Step};
 use crate::store::model::NodeHead;
-use crate::store::{NodeIndex, NodeIx};
+use crate::store::{Node, NodeIx, Nodes, StoreError};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
@@ -41,38 +41,42 @@ pub struct SelectedPart {
 
 /// Selects for a camera at most `capacity` points, until every node is finer than `max_error_px` on the image.
 ///
-/// Looks at the index only, a microsecond or so a node.
+/// Looks at node rows only, a microsecond or so a node once they are loaded.
+///
+/// # Errors
+///
+/// [`StoreError::Damaged`] if a row that it looks at is missing or wrong.
 pub fn select_view(
-    index: &NodeIndex,
+    nodes: &Nodes,
     lattice: &Lattice,
     g: u8,
     camera: &Camera,
     max_error_px: f64,
     capacity: Option<u64>,
-) -> Selection {
-    let mut cut = ViewCut::new(index, lattice, g, camera, max_error_px, |_| true);
+) -> Result<Selection, StoreError> {
+    let mut cut = ViewCut::new(nodes, lattice, g, camera, max_error_px, |_| Ok::<_, StoreError>(true))?;
     let mut selection = Selection::default();
     let mut left = capacity.unwrap_or(u64::MAX);
     while left > 0 {
-        let Some((node, part)) = cut.advance() else { break };
-        let all = index.head(node).parts[part].points;
+        let Some((node, part)) = cut.advance()? else { break };
+        let all = node.parts[part].points;
         let points = u32::try_from(left).unwrap_or(u32::MAX).min(all);
         if points < all {
             cut.take_back();
         }
         left -= u64::from(points);
         selection.points += u64::from(points);
-        selection.parts.push(SelectedPart { node, part: part as u32, points });
+        selection.parts.push(SelectedPart { node: node.ix(), part: part as u32, points });
     }
-    let (bound, bound_px) = cut.bounds(selection.points > 0);
+    let (bound, bound_px) = cut.bounds(selection.points > 0)?;
     (selection.error_bound, selection.error_bound_px) = (bound, bound_px);
     selection.nodes_visited = cut.visited;
-    selection
+    Ok(selection)
 }
 
 /// The state of a best-first cut.
 pub(crate) struct ViewCut<'a, F> {
-    index: &'a NodeIndex,
+    nodes: &'a Nodes,
     lattice: RelativeLattice,
     g: u8,
     camera: &'a Camera,
@@ -83,20 +87,20 @@ pub(crate) struct ViewCut<'a, F> {
     quantum: f64,
     heap: BinaryHeap<Waiting>,
     /// The node whose parts are being taken, its distance, and how many parts are taken.
-    current: Option<(NodeIx, f64, usize)>,
+    current: Option<(Node, f64, usize)>,
     /// The largest bounds of what is left below the threshold for good.
     settled: (f64, f64),
     visited: u64,
 }
 
 /// A node that is worth taking, whose parent is fully taken.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Waiting {
     /// Pixels of its spacing at its nearest point.
     spacing_px: f64,
     k: u8,
     key: Reverse<(NodeKey, u16)>,
-    node: NodeIx,
+    node: Node,
     distance: f64,
 }
 
@@ -120,11 +124,18 @@ impl PartialEq for Waiting {
 
 impl Eq for Waiting {}
 
-impl<'a, F: FnMut(NodeIx) -> bool> ViewCut<'a, F> {
+impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F> {
     /// Before the first node. Subtrees for which `may` says no are as if they were not there.
-    pub fn new(index: &'a NodeIndex, lattice: &Lattice, g: u8, camera: &'a Camera, max_error_px: f64, may: F) -> Self {
+    pub fn new(
+        nodes: &'a Nodes,
+        lattice: &Lattice,
+        g: u8,
+        camera: &'a Camera,
+        max_error_px: f64,
+        may: F,
+    ) -> Result<Self, E> {
         let mut cut = Self {
-            index,
+            nodes,
             lattice: RelativeLattice::new(lattice, camera.eye()),
             g,
             camera,
@@ -138,57 +149,53 @@ impl<'a, F: FnMut(NodeIx) -> bool> ViewCut<'a, F> {
             settled: (0.0, 0.0),
             visited: 0,
         };
-        for root in index.roots() {
-            if let Some(distance) = cut.visible(root) {
+        for root in nodes.roots()? {
+            if let Some(distance) = cut.visible(&root)? {
                 cut.wait(root, distance);
             }
         }
-        cut
+        Ok(cut)
     }
 
     /// The distance of a subtree from the eye, if any of it can be on the image.
-    fn visible(&mut self, node: NodeIx) -> Option<f64> {
+    fn visible(&mut self, node: &Node) -> Result<Option<f64>, E> {
         self.visited += 1;
-        let relative = self.lattice.relative(&self.index.head(node).subtree_bounds)?;
-        let seen = self.frustum.classify(&relative) != Containment::Outside && (self.may)(node);
+        let Some(relative) = self.lattice.relative(&node.subtree_bounds) else { return Ok(None) };
+        let seen = self.frustum.classify(&relative) != Containment::Outside && (self.may)(node)?;
         // What is nearer than the near plane is not seen.
         let near = self.camera.near();
-        seen.then(|| relative.distance_to(DVec3::ZERO).max(near))
+        Ok(seen.then(|| relative.distance_to(DVec3::ZERO).max(near)))
     }
 
     fn spacing_px(&self, cell: i16, distance: f64) -> f64 {
         self.camera.pixels_of_length(2_f64.powi(cell.into()) * self.quantum, distance)
     }
 
-    fn wait(&mut self, node: NodeIx, distance: f64) {
-        let head = self.index.head(node);
-        let k = head.cube.k();
+    fn wait(&mut self, node: Node, distance: f64) {
+        let k = node.cube.k();
         let spacing_px = self.spacing_px(i16::from(k) - i16::from(self.g), distance);
-        self.heap.push(Waiting { spacing_px, k, key: Reverse((head.cube.node_key(), head.layer)), node, distance });
+        self.heap.push(Waiting { spacing_px, k, key: Reverse((node.cube.node_key(), node.layer)), node, distance });
     }
 
     /// The next part of the sequence.
-    pub fn advance(&mut self) -> Option<(NodeIx, usize)> {
+    pub fn advance(&mut self) -> Result<Option<(Node, usize)>, E> {
         loop {
-            if let Some((node, distance, taken)) = self.current {
-                let head = self.index.head(node);
-                if taken == head.parts.len() {
-                    self.current = None;
-                    if !head.leaf {
-                        self.open_children(node);
+            if let Some((node, distance, taken)) = self.current.take() {
+                if taken == node.parts.len() {
+                    if !node.leaf {
+                        self.open_children(&node)?;
                     }
                     continue;
                 }
-                if self.is_fine_enough(head, taken, distance) {
-                    let bound = self.metric.after_parts(head, taken);
+                if self.is_fine_enough(&node, taken, distance) {
+                    let bound = self.metric.after_parts(&node, taken);
                     self.settle(bound, distance);
-                    self.current = None;
                     continue;
                 }
-                self.current = Some((node, distance, taken + 1));
-                return Some((node, taken));
+                self.current = Some((node.clone(), distance, taken + 1));
+                return Ok(Some((node, taken)));
             }
-            let next = self.heap.pop()?;
+            let Some(next) = self.heap.pop() else { return Ok(None) };
             self.current = Some((next.node, next.distance, 0));
         }
     }
@@ -209,16 +216,17 @@ impl<'a, F: FnMut(NodeIx) -> bool> ViewCut<'a, F> {
         })
     }
 
-    fn open_children(&mut self, node: NodeIx) {
-        let cell = self.index.head(node).cube.k() as i16 - i16::from(self.g);
-        for child in self.index.children(node) {
-            let Some(distance) = self.visible(child) else { continue };
+    fn open_children(&mut self, node: &Node) -> Result<(), E> {
+        let cell = i16::from(node.cube.k()) - i16::from(self.g);
+        for child in self.nodes.children(node)? {
+            let Some(distance) = self.visible(&child)? else { continue };
             if self.spacing_px(cell, distance) > self.max_error_px {
                 self.wait(child, distance);
             } else {
                 self.settle(self.metric.step_bound(cell as i8, 7), distance);
             }
         }
+        Ok(())
     }
 
     fn settle(&mut self, bound: f64, distance: f64) {
@@ -227,48 +235,44 @@ impl<'a, F: FnMut(NodeIx) -> bool> ViewCut<'a, F> {
     }
 
     /// The bounds of what has been taken so far, in CRS units and in pixels; `any`: at least one point was.
-    pub fn bounds(&self, any: bool) -> (Option<f64>, Option<f64>) {
+    pub fn bounds(&self, any: bool) -> Result<(Option<f64>, Option<f64>), E> {
         let mut bounds = self.settled;
         let mut include = |bound: f64, distance: f64| {
             bounds.0 = bounds.0.max(bound);
             bounds.1 = bounds.1.max(self.camera.pixels_of_length(bound, distance));
         };
         for waiting in &self.heap {
-            match self.index.parent(waiting.node) {
-                None => return (None, None),
-                Some(parent) => {
-                    let cell = self.index.head(parent).cube.k() as i8 - self.g as i8;
-                    include(self.metric.step_bound(cell, 7), waiting.distance);
-                }
+            if waiting.node.is_root() {
+                return Ok((None, None));
             }
+            let cell = waiting.k as i8 + 1 - self.g as i8;
+            include(self.metric.step_bound(cell, 7), waiting.distance);
         }
-        if let Some((node, distance, taken)) = self.current {
-            let head = self.index.head(node);
+        if let Some((head, distance, taken)) = &self.current {
+            let (distance, taken) = (*distance, *taken);
             if taken < head.parts.len() {
                 if !any {
-                    return (None, None);
+                    return Ok((None, None));
                 }
                 include(self.metric.after_parts(head, taken), distance);
             } else if !head.leaf {
                 let cell = head.cube.k() as i8 - self.g as i8;
-                for child in self.index.children(node) {
+                for child in self.nodes.children(head)? {
                     // Whether it is visible was not asked yet: assume that it is.
-                    let relative = self.lattice.relative(&self.index.head(child).subtree_bounds);
+                    let relative = self.lattice.relative(&child.subtree_bounds);
                     let distance = relative.map_or(0.0, |r| r.distance_to(DVec3::ZERO));
                     include(self.metric.step_bound(cell, 7), distance.max(self.camera.near()));
                 }
             }
         }
-        (Some(bounds.0), Some(bounds.1).filter(|px| px.is_finite()))
+        Ok((Some(bounds.0), Some(bounds.1).filter(|px| px.is_finite())))
     }
 
     /// Is there nothing left that the threshold or the capacity left out?
     pub fn is_complete(&self) -> bool {
-        let done = |(node, _, taken): (NodeIx, f64, usize)| {
-            let head = self.index.head(node);
-            taken == head.parts.len() && (head.leaf || head.children == 0)
-        };
-        self.heap.is_empty() && self.current.is_none_or(done) && self.settled == (0.0, 0.0)
+        let done =
+            |(node, _, taken): &(Node, f64, usize)| *taken == node.parts.len() && (node.leaf || node.children == 0);
+        self.heap.is_empty() && self.current.as_ref().is_none_or(done) && self.settled == (0.0, 0.0)
     }
 
     /// Nodes whose rows were looked at.

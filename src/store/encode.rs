@@ -180,6 +180,7 @@ pub fn encode_node<K: SortKey>(
         children,
         own_points: keys.len() as u64,
         subtree_points: keys.len() as u64,
+        subtree_nodes: 1,
         scans: counts,
         own_bounds: bounds,
         subtree_bounds: bounds.unwrap_or(LatticeBox::of(cube.low())),

@@ -1,11 +1,12 @@
 //! The store itself: made, opened, looked at.
 
+use super::cache::CacheFigures;
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
 use super::files::{beside, wal};
 use super::lock::WriterLock;
 use super::model::Site;
-use super::place::{Place, lock};
+use super::place::{Limits, Place, lock};
 use super::rows::{SiteRow, load_generation, put_site};
 use super::snapshot::{Inner, Snapshot};
 use super::writer::Writer;
@@ -108,9 +109,18 @@ impl Store {
     /// [`StoreError::NotThere`], [`StoreError::Directory`], [`StoreError::NotAStore`], [`StoreError::Newer`],
     /// [`StoreError::ForeignWal`], [`StoreError::NeedsRecovery`], [`StoreError::Damaged`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
+        Self::open_with(path, Limits::default())
+    }
+
+    /// As [`Store::open`], with other limits of what is kept in memory.
+    ///
+    /// # Errors
+    ///
+    /// As [`Store::open`].
+    pub fn open_with(path: impl AsRef<Path>, limits: Limits) -> Result<Self, StoreError> {
         let path = path.as_ref();
         let (purpose, connection) = connection::open_for_reading(path)?;
-        Ok(Self::at(Place::file(path, purpose, Some(connection))))
+        Ok(Self::at(Place::file(path, purpose, limits, Some(connection))))
     }
 
     /// Makes an empty store in memory: gone with its last handle.
@@ -159,6 +169,11 @@ impl Store {
         let inner = Arc::new(inner);
         *newest = Arc::downgrade(&inner);
         Ok(Snapshot::of(inner))
+    }
+
+    /// What its caches hold, and how often they had what was asked for.
+    pub fn cache_figures(&self) -> CacheFigures {
+        self.place.caches().figures()
     }
 
     /// Has anything been committed since `snapshot`?

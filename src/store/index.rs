@@ -1,9 +1,10 @@
-//! The tree of a snapshot: all node heads in pre-order, their structure checked.
+//! The whole tree of a snapshot at once, for work on all of it; what looks at some of it asks `nodes`.
 
 use super::error::RowError;
-use super::model::{NodeHead, ScanCount};
+use super::model::NodeHead;
 use super::rows::{SiteRow, load_nodes};
-use crate::lattice::{Cube, LatticeBox};
+use super::tree_check::Checker;
+use crate::lattice::Cube;
 use rusqlite::Connection;
 use std::ops::Range;
 
@@ -108,160 +109,39 @@ impl NodeIndex {
     /// Reads and checks all nodes. What is damaged is left out, with all that lies below it, and told: the index is
     /// whole only if nothing is.
     pub(super) fn load(connection: &Connection, site: &SiteRow) -> (Self, Vec<RowError>) {
-        let mut builder = Builder { site, index: Self::default(), path: Vec::new(), damage: Vec::new() };
-        let loaded = load_nodes(connection, |head| {
-            let pushed = head.and_then(|head| builder.push(head));
-            builder.damage.extend(pushed.err());
+        let mut checker = Checker::new(site);
+        let loaded = load_nodes(connection, |head| match head {
+            Ok(head) => checker.push(head),
+            Err(e) => checker.damage.push(e),
         });
-        builder.damage.extend(loaded.err());
-        builder.finish()
-    }
-}
-
-/// Checks each node against the path above it, in pre-order.
-struct Builder<'a> {
-    site: &'a SiteRow,
-    index: NodeIndex,
-    /// From a root down to the last node: what is still missing of each.
-    path: Vec<Open>,
-    damage: Vec<RowError>,
-}
-
-/// A node whose subtree is not complete yet.
-struct Open {
-    node: NodeIx,
-    children_seen: u8,
-    points: u64,
-    scans: Vec<ScanCount>,
-    bounds: Option<LatticeBox>,
-}
-
-fn damage(head: &NodeHead, what: impl Into<String>) -> RowError {
-    RowError::damage("node", super::rows::name_of(head), what)
-}
-
-impl Builder<'_> {
-    fn push(&mut self, head: NodeHead) -> Result<(), RowError> {
-        let layer = usize::from(head.layer);
-        if layer >= self.site.site.roots.len() {
-            return Err(damage(&head, "the site has no such layer"));
-        }
-        if layer >= self.index.layers.len() {
-            self.close_all();
-            self.open_layers(layer);
-        }
-        while self.path.last().is_some_and(|open| !self.index.head(open.node).cube.contains_cube(head.cube)) {
-            self.close_last();
-        }
-        check_alone(&head, self.site)?;
-        let node = self.index.heads.len() as NodeIx;
-        let parent = match self.path.last_mut() {
-            Some(open) => {
-                let parent = &self.index.heads[open.node as usize];
-                let bit = 1 << head.cube.octant();
-                if parent.cube.k() != head.cube.k() + 1 || parent.children & bit == 0 {
-                    return Err(damage(&head, "its parent is missing or does not name it"));
-                }
-                open.children_seen |= bit;
-                Some(open.node)
-            }
-            None if self.site.site.roots[layer] == Some(head.cube) => None,
-            None => return Err(damage(&head, "is neither the root of its layer nor below it")),
-        };
-        self.path.push(Open {
-            node,
-            children_seen: 0,
-            points: head.own_points,
-            scans: head.scans.iter().map(|s| ScanCount { subtree: s.own, ..*s }).collect(),
-            bounds: head.own_bounds,
-        });
-        self.index.heads.push(head);
-        self.index.parents.push(parent);
-        self.index.ends.push(node + 1);
-        Ok(())
-    }
-
-    /// Layers without nodes before `layer`, then that one.
-    fn open_layers(&mut self, layer: usize) {
-        let here = self.index.heads.len() as NodeIx;
-        self.index.layers.resize(layer + 1, here..here);
-    }
-
-    fn close_all(&mut self) {
-        while !self.path.is_empty() {
-            self.close_last();
-        }
-    }
-
-    /// The last node of the path is complete: is it what its row says?
-    fn close_last(&mut self) {
-        let Some(open) = self.path.pop() else { return };
-        let end = self.index.heads.len() as NodeIx;
-        self.index.ends[open.node as usize] = end;
-        if let Some(layer) = self.index.layers.last_mut() {
-            layer.end = end;
-        }
-        let head = &self.index.heads[open.node as usize];
-        let missing = head.children & !open.children_seen;
-        let same_scans = open.scans.iter().filter(|s| s.subtree > 0).eq(&head.scans);
-        self.damage.extend(if missing != 0 {
-            Some(damage(head, format!("the child in octant {} is missing", missing.trailing_zeros())))
-        } else if open.points != head.subtree_points || open.bounds != Some(head.subtree_bounds) || !same_scans {
-            Some(damage(head, "counts or bounds of the subtree are not those of its parts"))
-        } else {
-            None
-        });
-        // What the row says goes up, so that one damage is told once.
-        let Some(parent) = self.path.last_mut() else { return };
-        parent.points = parent.points.saturating_add(head.subtree_points);
-        let bounds = head.subtree_bounds;
-        parent.bounds = Some(parent.bounds.map_or(bounds, |p| p.union(&bounds)));
-        for scan in &head.scans {
-            match parent.scans.binary_search_by_key(&scan.scan, |s| s.scan) {
-                Ok(i) => parent.scans[i].subtree = parent.scans[i].subtree.saturating_add(scan.subtree),
-                Err(i) => parent.scans.insert(i, ScanCount { own: 0, ..*scan }),
+        checker.damage.extend(loaded.err());
+        checker.close();
+        let Checker { heads, parents, mut damage, .. } = checker;
+        let index = Self::of(heads, parents, site.site.roots.len());
+        for (layer, root) in site.site.roots.iter().enumerate() {
+            if root.is_some() && index.layers[layer].is_empty() {
+                damage.push(RowError::damage("node", format!("layer {layer}"), "the root is missing"));
             }
         }
-    }
-
-    fn finish(mut self) -> (NodeIndex, Vec<RowError>) {
-        self.close_all();
-        let layers = self.site.site.roots.len();
-        if self.index.layers.len() < layers {
-            self.open_layers(layers - 1);
-        }
-        for (layer, root) in self.site.site.roots.iter().enumerate() {
-            if root.is_some() && self.index.layers[layer].is_empty() {
-                self.damage.push(RowError::damage("node", format!("layer {layer}"), "the root is missing"));
-            }
-        }
-        let (found, expected) = (self.index.heads.len() as u64, self.site.nodes);
-        if found != expected && self.damage.is_empty() {
+        let (found, expected) = (index.heads.len() as u64, site.nodes);
+        if found != expected && damage.is_empty() {
             let what = format!("there are {found}, but {expected} were written");
-            self.damage.push(RowError::damage("node", "all rows", what));
+            damage.push(RowError::damage("node", "all rows", what));
         }
-        (self.index, self.damage)
+        (index, damage)
     }
-}
 
-/// What must hold of a node by itself.
-fn check_alone(head: &NodeHead, site: &SiteRow) -> Result<(), RowError> {
-    let holds = |ok: bool, what: &str| if ok { Ok(()) } else { Err(damage(head, what)) };
-    let cube = head.cube.to_box();
-    holds(head.cube.k() >= site.site.g, "the cube is smaller than the sampling grid")?;
-    holds(!(head.leaf && head.children != 0), "a leaf has children")?;
-    holds(head.subtree_points > 0, "the subtree has no points")?;
-    holds(cube.contains_box(&head.subtree_bounds), "the subtree's bounds are not in the cube")?;
-    holds(head.own_bounds.is_some() == (head.own_points > 0), "own bounds without own points, or the reverse")?;
-    holds(head.own_bounds.is_none_or(|b| head.subtree_bounds.contains_box(&b)), "own bounds are not in the subtree's")?;
-    holds(head.scans.is_sorted_by(|a, b| a.scan < b.scan), "the scans are not ascending")?;
-    let own: u128 = head.scans.iter().map(|s| u128::from(s.own)).sum();
-    let subtree: u128 = head.scans.iter().map(|s| u128::from(s.subtree)).sum();
-    holds(own == head.own_points.into(), "the own points are not those of the scans")?;
-    holds(subtree == head.subtree_points.into(), "the subtree's points are not those of the scans")?;
-    let parts: u64 = head.parts.iter().map(|p| u64::from(p.points)).sum();
-    holds(parts == head.own_points, "the parts do not hold the own points")?;
-    holds(head.parts.iter().all(|p| p.points > 0), "a part is empty")?;
-    let ids = head.chunk_ids();
-    holds(0 <= ids.start && ids.end <= site.next_chunk, "the chunk rows' ids were never given out")
+    /// Of nodes in pre-order, by layer.
+    fn of(heads: Vec<NodeHead>, parents: Vec<Option<NodeIx>>, layers: usize) -> Self {
+        // Not from the rows' own counts: of a damaged tree some nodes are missing.
+        let mut ends: Vec<NodeIx> = (1..=heads.len() as NodeIx).collect();
+        for node in (0..heads.len()).rev() {
+            if let Some(parent) = parents[node] {
+                ends[parent as usize] = ends[parent as usize].max(ends[node]);
+            }
+        }
+        let from = |layer: usize| heads.partition_point(|h| usize::from(h.layer) < layer) as NodeIx;
+        let layers = (0..layers).map(|layer| from(layer)..from(layer + 1)).collect();
+        Self { heads, ends, parents, layers }
+    }
 }

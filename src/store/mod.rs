@@ -1,5 +1,6 @@
 //! The SQLite file: rows, snapshots, the writer, verify. `docs/format.md` has every byte and every invariant.
 
+mod cache;
 mod checksum;
 mod connection;
 #[cfg(test)]
@@ -16,6 +17,9 @@ mod info;
 mod lanes;
 mod lock;
 pub mod model;
+mod nodes;
+#[cfg(test)]
+mod nodes_tests;
 mod place;
 mod rows;
 mod shape;
@@ -25,10 +29,12 @@ mod summary;
 mod testing;
 #[cfg(test)]
 mod tests;
+mod tree_check;
 mod verify;
 mod writer;
 mod zones;
 
+pub use cache::{BlockKey, CacheFigures, CachedBlock};
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
 pub use decode::{DecodedPart, decode_part};
@@ -40,6 +46,8 @@ pub use flip::{Flip, NodeChange};
 pub use handle::{SiteOptions, Store};
 pub use index::{NodeIndex, NodeIx};
 pub use info::{Info, info};
+pub use nodes::{Children, Node, Nodes};
+pub use place::Limits;
 pub use rows::{ChunkRow, pack};
 pub use snapshot::{ChunkBytes, ReadCost, Snapshot};
 pub use summary::{Summary, merge_subtree};

@@ -173,7 +173,9 @@ pub struct NodeHead {
     pub own_points: u64,
     /// Points stored here or below.
     pub subtree_points: u64,
-    /// The same per scan, ascending by scan; only scans with points in the subtree.
+    /// This node and those below it.
+    pub subtree_nodes: u64,
+    /// Points per scan, ascending by scan; only scans with points in the subtree.
     pub scans: Vec<ScanCount>,
     /// Tight bounds of the own points.
     pub own_bounds: Option<LatticeBox>,
@@ -197,6 +199,7 @@ impl NodeHead {
             children: 0,
             own_points: 0,
             subtree_points: 0,
+            subtree_nodes: 1,
             scans: Vec::new(),
             own_bounds: None,
             subtree_bounds: LatticeBox::of(cube.low()),

@@ -1,5 +1,6 @@
 //! Where a store is: a file, or memory that readers and writer of one process share.
 
+use super::cache::Caches;
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
 use rusqlite::Connection;
@@ -22,10 +23,38 @@ pub(super) enum Place {
     Memory(MemoryPlace),
 }
 
+/// How much of a store is kept in memory between reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Limits {
+    /// Bytes of node rows of one snapshot: a row takes about a kilobyte, and belongs to 13,000 points.
+    pub node_bytes: usize,
+    /// Bytes of chunks as they are in the file, for all snapshots together.
+    pub row_bytes: usize,
+    /// Bytes of decoded blocks, for all snapshots together. What reads more than a quarter of it at once does not go
+    /// through it.
+    pub block_bytes: usize,
+}
+
+impl Limits {
+    /// For a program that asks once: nothing is kept but node rows.
+    pub fn once() -> Self {
+        Self { row_bytes: 0, block_bytes: 0, ..Self::default() }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { node_bytes: 32 << 20, row_bytes: 64 << 20, block_bytes: 256 << 20 }
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct FilePlace {
     pub path: PathBuf,
     pub purpose: Purpose,
+    pub limits: Limits,
+    pub caches: Caches,
     /// Read connections that nobody uses.
     idle: Mutex<Vec<Connection>>,
 }
@@ -33,6 +62,7 @@ pub(super) struct FilePlace {
 /// One connection for everybody. What a snapshot of an older generation refers to stays until the snapshot is gone.
 #[derive(Debug)]
 pub(super) struct MemoryPlace {
+    pub caches: Caches,
     pub connection: Mutex<Connection>,
     /// How many snapshots there are, by generation.
     pub snapshots: Mutex<BTreeMap<u64, usize>>,
@@ -41,17 +71,28 @@ pub(super) struct MemoryPlace {
 }
 
 impl Place {
-    pub fn file(path: &Path, purpose: Purpose, connection: Option<Connection>) -> Self {
+    pub fn file(path: &Path, purpose: Purpose, limits: Limits, connection: Option<Connection>) -> Self {
         let idle = Mutex::new(connection.into_iter().collect());
-        Self::File(FilePlace { path: path.to_path_buf(), purpose, idle })
+        let caches = Caches::new(limits.row_bytes, limits.block_bytes);
+        Self::File(FilePlace { path: path.to_path_buf(), purpose, limits, caches, idle })
     }
 
     pub fn memory(connection: Connection) -> Self {
+        // All of it is in memory as it is.
+        let caches = Caches::new(0, 0);
         Self::Memory(MemoryPlace {
+            caches,
             connection: Mutex::new(connection),
             snapshots: Mutex::default(),
             writer: Mutex::new(false),
         })
+    }
+
+    pub fn caches(&self) -> &Caches {
+        match self {
+            Self::File(file) => &file.caches,
+            Self::Memory(memory) => &memory.caches,
+        }
     }
 
     /// For messages.

@@ -1,10 +1,12 @@
 //! What a reader holds: one generation of a store, for as long as it likes.
 
+use super::cache::{CachedBlock, block_key};
 use super::error::{RowError, StoreError};
 use super::index::{NodeIndex, NodeIx};
 use super::lanes::Lanes;
 use super::model::{NodeHead, SLOT_PACKED, Scan, ScanId, Site, Slot, StoredAttribute, Zones};
-use super::place::{Place, lock};
+use super::nodes::{Nodes, Pages};
+use super::place::{Limits, Place, lock};
 use super::rows::{self, RowName, SiteRow};
 use rusqlite::Connection;
 use std::ops::{AddAssign, Deref, Range};
@@ -24,8 +26,7 @@ pub(super) struct Inner {
     scans: Vec<Scan>,
     attributes: Vec<StoredAttribute>,
     index: OnceLock<Arc<NodeIndex>>,
-    /// One cell per node, once the index is there.
-    zones: OnceLock<Vec<OnceLock<Arc<Zones>>>>,
+    pages: Pages,
 }
 
 /// Where the rows come from.
@@ -43,12 +44,15 @@ pub struct ReadCost {
     pub rows: u64,
     /// Bytes of encoded columns in them.
     pub bytes: u64,
+    /// Rows that did not have to be read, because they were in the store's cache.
+    pub cached: u64,
 }
 
 impl AddAssign for ReadCost {
     fn add_assign(&mut self, other: Self) {
         self.rows += other.rows;
         self.bytes += other.bytes;
+        self.cached += other.cached;
     }
 }
 
@@ -102,7 +106,7 @@ impl Snapshot {
         self.attributes().binary_search_by_key(&id, |a| a.id).ok().map(|i| &self.attributes()[i])
     }
 
-    /// All nodes, read and checked at the first call.
+    /// All nodes, read and checked at the first call: for work on all of them.
     ///
     /// # Errors
     ///
@@ -129,25 +133,19 @@ impl Snapshot {
         Ok((Arc::new(index), damage.into_iter().map(|e| self.inner.place.error(e)).collect()))
     }
 
-    /// The zone maps of a node of [`Snapshot::index`], kept after the first call.
+    /// The nodes, each read when it is looked at.
+    pub fn nodes(&self) -> Nodes {
+        Nodes::of(self.clone())
+    }
+
+    /// The zone maps of a node, by its number.
     ///
     /// # Errors
     ///
     /// [`StoreError::Damaged`] if the row is missing or wrong.
-    ///
-    /// # Panics
-    ///
-    /// If there is no such node.
     pub fn zones(&self, node: NodeIx) -> Result<Arc<Zones>, StoreError> {
-        let index = self.index()?;
-        let cells = self.inner.zones.get_or_init(|| (0..index.len()).map(|_| OnceLock::new()).collect());
-        let cell = &cells[node as usize];
-        if let Some(zones) = cell.get() {
-            return Ok(zones.clone());
-        }
-        let head = index.head(node);
-        let zones = Arc::new(self.inner.with(|c| rows::load_zones(c, head.layer, head.cube))?);
-        Ok(cell.get_or_init(|| zones).clone())
+        let nodes = self.nodes();
+        nodes.zones(&nodes.node(node)?)
     }
 
     /// The encoded bytes of one column of a part; `None` if the part has none, because no point of it has the
@@ -180,7 +178,36 @@ impl Snapshot {
         slots: &[Slot],
         cost: &mut ReadCost,
     ) -> Result<Vec<Option<ChunkBytes>>, StoreError> {
-        self.inner.with(|c| read_part(c, head, part, slots, cost))
+        let place = &*self.inner.place;
+        let row = |slot: Slot, bytes: u32, cost: &mut ReadCost| {
+            let name = RowName { head, part, slot };
+            let id = head.chunk_id(part, slot);
+            if let Some(row) = place.caches().row(id) {
+                cost.cached += 1;
+                return Ok(row);
+            }
+            let row = Arc::new(self.inner.with(|c| rows::read_chunk(c, name, bytes))?);
+            cost.rows += 1;
+            cost.bytes += row.len() as u64;
+            place.caches().keep_row(id, &row);
+            Ok(row)
+        };
+        read_part(place, head, part, slots, |slot, bytes| row(slot, bytes, cost))
+    }
+
+    /// A decoded block of a column that an earlier query has kept.
+    pub fn cached_block(&self, head: &NodeHead, part: usize, slot: Slot, block: usize) -> Option<CachedBlock> {
+        self.inner.place.caches().block(block_key(head, part, slot, block))
+    }
+
+    /// Keeps a decoded block for later queries, if there is room.
+    pub fn keep_block(&self, head: &NodeHead, part: usize, slot: Slot, block: usize, decoded: CachedBlock) {
+        self.inner.place.caches().keep_block(block_key(head, part, slot, block), decoded);
+    }
+
+    /// The most bytes of decoded blocks that are kept.
+    pub fn kept_block_bytes(&self) -> u64 {
+        self.inner.place.caches().block_limit()
     }
 
     /// Named cameras, as JSON, by name.
@@ -200,6 +227,10 @@ impl Snapshot {
         &self.inner.site
     }
 
+    pub(super) fn pages(&self) -> &Pages {
+        &self.inner.pages
+    }
+
     pub(super) fn place(&self) -> &Arc<Place> {
         &self.inner.place
     }
@@ -210,36 +241,32 @@ fn whole_index(connection: &Connection, site: &SiteRow) -> Result<NodeIndex, Row
     damage.into_iter().next().map_or(Ok(index), Err)
 }
 
-/// See [`Snapshot::read_part`].
+/// See [`Snapshot::read_part`]; `row` gives a row of the part.
 fn read_part(
-    connection: &Connection,
+    place: &Place,
     head: &NodeHead,
     part: usize,
     slots: &[Slot],
-    cost: &mut ReadCost,
-) -> Result<Vec<Option<ChunkBytes>>, RowError> {
-    let name = |slot| RowName { head, part, slot };
-    let facts = head.parts.get(part).ok_or_else(|| name(SLOT_PACKED).damage("the node has no such part"))?;
+    mut row: impl FnMut(Slot, u32) -> Result<Arc<Vec<u8>>, StoreError>,
+) -> Result<Vec<Option<ChunkBytes>>, StoreError> {
+    let packed_damage = |what: &str| place.error(RowName { head, part, slot: SLOT_PACKED }.damage(what));
+    let facts = head.parts.get(part).ok_or_else(|| packed_damage("the node has no such part"))?;
     let mut packed = None;
     let mut columns = Vec::with_capacity(slots.len());
     for &slot in slots {
         if let Ok(i) = facts.chunks.binary_search_by_key(&slot, |c| c.0) {
-            let bytes = rows::read_chunk(connection, name(slot), facts.chunks[i].1)?;
-            cost.rows += 1;
-            cost.bytes += bytes.len() as u64;
-            columns.push(Some(ChunkBytes { range: 0..bytes.len(), row: Arc::new(bytes) }));
+            let row = row(slot, facts.chunks[i].1)?;
+            columns.push(Some(ChunkBytes { range: 0..row.len(), row }));
         } else if facts.packed.binary_search_by_key(&slot, |c| c.0).is_ok() {
             let (row, directory) = match &packed {
                 Some(packed) => packed,
                 None => {
-                    let row = rows::read_chunk(connection, name(SLOT_PACKED), facts.packed_bytes)?;
-                    cost.rows += 1;
-                    cost.bytes += row.len() as u64;
-                    let directory = rows::unpack(&row).map_err(|what| name(SLOT_PACKED).damage(what))?;
+                    let row = row(SLOT_PACKED, facts.packed_bytes)?;
+                    let directory = rows::unpack(&row).map_err(|what| packed_damage(&what))?;
                     if !directory.iter().map(|d| (d.0, d.1.len() as u32)).eq(facts.packed.iter().copied()) {
-                        return Err(name(SLOT_PACKED).damage("the columns are not those of the node's row"));
+                        return Err(packed_damage("the columns are not those of the node's row"));
                     }
-                    packed.insert((Arc::new(row), directory))
+                    packed.insert((row, directory))
                 }
             };
             let found = directory.binary_search_by_key(&slot, |d| d.0).ok();
@@ -255,6 +282,10 @@ impl Inner {
     /// Reads what every snapshot has. For a file, `connection` is in a read transaction, which goes on.
     pub fn of_file(place: &Arc<Place>, connection: Connection, renews: bool) -> Result<Self, RowError> {
         let (site, scans, attributes) = facts(&connection)?;
+        let limits = match &**place {
+            Place::File(file) => file.limits,
+            Place::Memory(_) => Limits::default(),
+        };
         let lanes = Lanes::new(place.clone(), connection, site.site.generation, renews);
         Ok(Self {
             place: place.clone(),
@@ -263,7 +294,7 @@ impl Inner {
             scans,
             attributes,
             index: OnceLock::new(),
-            zones: OnceLock::new(),
+            pages: Pages::new(limits.node_bytes),
         })
     }
 
@@ -275,11 +306,10 @@ impl Inner {
         let connection = lock(&memory.connection);
         let (site, scans, attributes) = facts(&connection)?;
         let index = whole_index(&connection, &site)?;
-        let zones = index
-            .heads()
-            .iter()
-            .map(|h| Ok(OnceLock::from(Arc::new(rows::load_zones(&connection, h.layer, h.cube)?))))
-            .collect::<Result<Vec<_>, RowError>>()?;
+        let heads = index.heads().to_vec();
+        let zones = heads.iter().map(|h| rows::load_zones(&connection, h.layer, h.cube)).collect::<Result<_, _>>()?;
+        let are_roots = (0..heads.len() as NodeIx).map(|node| index.parent(node).is_none());
+        let pages = Pages::whole(heads, are_roots, zones);
         *lock(&memory.snapshots).entry(site.site.generation).or_default() += 1;
         Ok(Self {
             place: place.clone(),
@@ -288,7 +318,7 @@ impl Inner {
             scans,
             attributes,
             index: OnceLock::from(Arc::new(index)),
-            zones: OnceLock::from(zones),
+            pages,
         })
     }
 

@@ -31,6 +31,7 @@ const FLOORS: &[(&str, &[&str])] = &[
 /// Outside library, then the modules that may import it.
 const OWNERS: &[(&str, &[&str])] = &[
     ("rusqlite", &["store"]),
+    ("quick_cache", &["store"]),
     ("zstd", &["codec"]),
     ("tokio", &["stream"]),
     // The window's surface is the viewer's; it is drawn by `render`.

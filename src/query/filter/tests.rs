@@ -6,6 +6,7 @@ use crate::points::{Attribute, Column, Positions, ScalarType, Scaling};
 use crate::query::block::BlockScans;
 use crate::store::model::{Range, Rejected, Scan, StoredAttribute};
 use proptest::prelude::*;
+use std::sync::Arc;
 
 const CLASS: Slot = 2;
 const STAMP: Slot = 3;
@@ -90,9 +91,9 @@ fn block(points: &[Point]) -> Block {
     let ids: Vec<u32> = points.iter().map(|p| p.scan).collect();
     Block {
         len: points.len(),
-        positions: Positions { x: each(&|p| p.x), y: each(&|_| 0), z: each(&|_| 0) },
+        positions: Arc::new(Positions { x: each(&|p| p.x), y: each(&|_| 0), z: each(&|_| 0) }),
         scans: if one { BlockScans::One(ids[0]) } else { BlockScans::Each(ids) },
-        columns: vec![
+        columns: [
             (CLASS, Some(Column::U8(points.iter().map(|p| p.class).collect()))),
             (STAMP, Some(Column::U64(each(&|p| p.stamp)))),
             (TIME, Some(Column::F64(points.iter().map(|p| p.time).collect()))),
@@ -102,7 +103,9 @@ fn block(points: &[Point]) -> Block {
                 ANGLE_16,
                 Some(Column::I16(points.iter().map(|p| if p.scan == 1 { p.angle.into() } else { 0 }).collect())),
             ),
-        ],
+        ]
+        .map(|(slot, column)| (slot, column.map(Arc::new)))
+        .to_vec(),
     }
 }
 

@@ -92,10 +92,21 @@ fn scan(id: ScanId, name: &str, attributes: Vec<Slot>, visible: bool, points: &[
 
 /// A store of these layers, with scan 1 `north` and scan 2 `roof`; `hidden` of them is not visible.
 pub fn store(layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> TestStore {
+    fill(&Store::in_memory(options(params)).unwrap(), layers, params, hidden)
+}
+
+/// The same in a file.
+pub fn store_at(path: &std::path::Path, layers: &[Vec<Point>], params: Params) -> TestStore {
+    fill(&Store::create(path, options(params)).unwrap(), layers, params, None)
+}
+
+fn options(params: Params) -> SiteOptions {
+    let options = SiteOptions::new(Lattice::uniform(QUANTUM).unwrap());
+    SiteOptions { g: params.g, leaf_capacity: params.leaf_capacity, ..options }
+}
+
+fn fill(store: &Store, layers: &[Vec<Point>], params: Params, hidden: Option<ScanId>) -> TestStore {
     let lattice = Lattice::uniform(QUANTUM).unwrap();
-    let mut options = SiteOptions::new(lattice.clone());
-    (options.g, options.leaf_capacity) = (params.g, params.leaf_capacity);
-    let store = Store::in_memory(options).unwrap();
     let mut writer = store.writer().unwrap();
     let attributes = [
         Attribute::new("Classification", ScalarType::U8),

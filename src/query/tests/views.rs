@@ -91,7 +91,7 @@ fn a_selection_is_closed_and_best_first() {
     let test = store(&[surface(120_000)], Params { g: 5, leaf_capacity: 2000 }, None);
     let index = test.snapshot.index().unwrap();
     let near = camera(&test, [-60.0, -40.0, 30.0], 900);
-    let select = |capacity| select_view(&index, &test.lattice, test.g, &near, 1.0, capacity);
+    let select = |capacity| select_view(&test.snapshot.nodes(), &test.lattice, test.g, &near, 1.0, capacity).unwrap();
     let whole = select(None);
     assert!(whole.points > 20_000 && whole.parts.len() > 30, "{} in {}", whole.points, whole.parts.len());
     let mut seen = std::collections::HashSet::new();

@@ -16,7 +16,7 @@ pub(super) use bookmark::{load_bookmarks, put_bookmark};
 pub(super) use bytes::{Put, Take, Taken};
 pub use chunk::{ChunkRow, pack};
 pub(super) use chunk::{RowName, load_garbage, put_chunk, read_chunk, unpack};
-pub(super) use node::{delete_node, load_node, load_nodes, name_of, put_node};
+pub(super) use node::{delete_node, load_node, load_nodes, load_nodes_below, name_of, put_node};
 pub(super) use scan::{delete_scan, load_scans, put_scan};
 pub(super) use site::{SiteRow, load_generation, load_site, put_site};
 pub(super) use zone::{delete_zones, load_zones, put_zones};

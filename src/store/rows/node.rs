@@ -54,6 +54,23 @@ pub(in crate::store) fn load_nodes(
     Ok(())
 }
 
+/// The node rows below a node in pre-order, given to `each` one by one.
+pub(in crate::store) fn load_nodes_below(
+    connection: &Connection,
+    layer: u16,
+    cube: Cube,
+    mut each: impl FnMut(NodeHead),
+) -> Result<(), RowError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT layer, key, head, checksum FROM node WHERE layer = ? AND key > ? AND key <= ? ORDER BY key",
+    )?;
+    let mut rows = statement.query((layer, &cube.node_key().0[..], &cube.last_node_key().0[..]))?;
+    while let Some(row) = rows.next()? {
+        each(decode(row)?);
+    }
+    Ok(())
+}
+
 /// One node row, if it is there.
 pub(in crate::store) fn load_node(
     connection: &Connection,
@@ -98,6 +115,7 @@ fn put_head(put: &mut Put, head: &NodeHead) {
     put.u8(head.children);
     put.varint(head.own_points);
     put.varint(head.subtree_points);
+    put.varint(head.subtree_nodes);
     put.varint(head.scans.len() as u64);
     for scan in &head.scans {
         put.varint(scan.scan.into());
@@ -157,6 +175,7 @@ fn take_head(take: &mut Take<'_>, layer: u16, cube: Cube) -> Taken<NodeHead> {
     let children = take.u8()?;
     let own_points = take.varint()?;
     let subtree_points = take.varint()?;
+    let subtree_nodes = take.varint()?;
     let n = take.count(3)?;
     let mut scans = Vec::with_capacity(n);
     for _ in 0..n {
@@ -185,6 +204,7 @@ fn take_head(take: &mut Take<'_>, layer: u16, cube: Cube) -> Taken<NodeHead> {
         children,
         own_points,
         subtree_points,
+        subtree_nodes,
         scans,
         own_bounds,
         subtree_bounds,

@@ -1,0 +1,246 @@
+//! The same answers by other ways: batch by batch, folded, on one thread; ended early; neighbours and densities.
+
+use super::*;
+use crate::points::Positions;
+use std::collections::BTreeMap;
+
+fn all_ways(query: &Query, test: &TestStore) -> (Batch, Answer) {
+    let (batch, answer) = query.collect(&test.snapshot).unwrap();
+    for threads in [1, 3] {
+        let mut batches = query.clone().threads(threads).batches(&test.snapshot).unwrap();
+        let mut same = Batch::empty(batches.attributes().clone());
+        for one in &mut batches {
+            let one = one.unwrap();
+            assert!(!one.is_empty());
+            same.append(&one);
+        }
+        assert!(same == batch, "{threads} threads");
+        let again = batches.answer();
+        assert_eq!((again.points, again.error_bound), (answer.points, answer.error_bound));
+        assert_eq!(again.on_maximum_faces, answer.on_maximum_faces);
+        let (folded, answer_of_fold) = query
+            .clone()
+            .threads(threads)
+            .fold(
+                &test.snapshot,
+                Positions::default,
+                |all, batch| all.x.extend(batch.positions.x),
+                |all, one| {
+                    all.x.extend(one.x);
+                },
+            )
+            .unwrap();
+        assert!(folded.x == batch.positions.x, "{threads} threads, folded");
+        assert_eq!((answer_of_fold.points, answer_of_fold.error_bound), (answer.points, answer.error_bound));
+    }
+    (batch, answer)
+}
+
+#[test]
+fn batches_and_folds_are_the_same_answer_on_any_threads() {
+    let test = store(&[surface(60_000)], Params { g: 4, leaf_capacity: 700 }, None);
+    let half = Region::new_box([-1e9; 3], [400.0 * QUANTUM, 1e9, 1e9]).unwrap();
+    let camera = serde_json::from_str(r#"{"eye":[-90,-80,60],"target":[300,300,0]}"#).unwrap();
+    for query in [
+        Query::new(),
+        Query::new().region(half.clone()),
+        Query::new().region(half.clone()).filter(Filter::parse("class < 3").unwrap()).with_scans(true),
+        Query::new().region(half.clone()).detail(Detail::Spacing(4.0 * QUANTUM)),
+        Query::new().region(half.clone()).capacity(7000),
+        Query::new().view(camera, 2.0),
+        Query::new().filter(Filter::parse("class = 77").unwrap()),
+    ] {
+        let (batch, answer) = all_ways(&query, &test);
+        let count = query.count(&test.snapshot).unwrap();
+        assert_eq!((count.points, batch.len() as u64), (answer.points, answer.points));
+    }
+}
+
+#[test]
+fn a_level_is_thinned_subtree_by_subtree_as_it_is_at_once() {
+    // Deep enough that most subtrees are tasks of their own, below nodes that are read alone.
+    let points = surface(12_000);
+    for params in [Params { g: 3, leaf_capacity: 60 }, Params { g: 5, leaf_capacity: 300 }] {
+        let test = store(std::slice::from_ref(&points), params, Some(1));
+        let sphere = Region::new_sphere([50.0, 90.0, 0.0], 300.0).unwrap();
+        for (region, text) in [(Region::Everything, ""), (sphere.clone(), ""), (sphere, "class < 3")] {
+            let on = region.on_lattice(&test.lattice).unwrap();
+            let matches = |p: &&Point| p.scan == 2 && on.contains(p.at()) && (text.is_empty() || p.class < 3);
+            let all: Vec<Point> = test.points.iter().filter(matches).copied().collect();
+            for c in [0, 1, 3, 4, 6, 8] {
+                let mut query =
+                    Query::new().region(region.clone()).detail(Detail::Spacing(2_f64.powi(c.into()) * QUANTUM));
+                if !text.is_empty() {
+                    query = query.filter(Filter::parse(text).unwrap());
+                }
+                let (found, _) = collect(query.clone().with_scans(true), &test);
+                assert!(ascending(found) == naive::level(&all, Point::at, c, |_| true), "{params:?} {text} {c}");
+                let counted = query.count(&test.snapshot).unwrap().points;
+                assert_eq!(counted, naive::level(&all, Point::at, c, |_| true).len() as u64);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_token_ends_queries_of_every_kind() {
+    let test = store(&[surface(60_000)], Params { g: 4, leaf_capacity: 500 }, None);
+    let cancel = Cancel::new();
+    let query = Query::new().cancel(&cancel);
+    let mut batches = query.clone().threads(1).batches(&test.snapshot).unwrap();
+    let mut before = 0;
+    for _ in 0..3 {
+        before += batches.next().unwrap().unwrap().len();
+    }
+    let elsewhere = cancel.clone();
+    std::thread::spawn(move || elsewhere.cancel()).join().unwrap();
+    // What was begun may still come; then the error, then nothing.
+    let mut rest = batches.by_ref().skip_while(|batch| {
+        before += batch.as_ref().map_or(0, Batch::len);
+        batch.is_ok()
+    });
+    assert!(matches!(rest.next(), Some(Err(QueryError::Cancelled))));
+    assert!(rest.next().is_none() && before < 60_000);
+    let kinds = [
+        query.clone(),
+        query.clone().detail(Detail::Level(2)),
+        query.clone().capacity(5000),
+        query.clone().filter(Filter::parse("class = 1").unwrap()),
+    ];
+    for query in kinds {
+        assert!(matches!(query.count(&test.snapshot), Err(QueryError::Cancelled)), "{query:?}");
+        assert!(matches!(query.collect(&test.snapshot), Err(QueryError::Cancelled)), "{query:?}");
+    }
+    let none = || query.nearest(&test.snapshot, &[[0.0; 3]], 3, None).unwrap_err();
+    assert!(matches!(none(), QueryError::Cancelled));
+    assert!(matches!(query.density(&test.snapshot, 0.1), Err(QueryError::Cancelled)));
+}
+
+/// A file-backed copy is needed here: what is in memory is not cached.
+#[test]
+fn cached_blocks_are_the_ones_that_were_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.esker");
+    let test = stores::store_at(&path, &[surface(60_000)], Params { g: 7, leaf_capacity: 9000 });
+    let once = crate::store::Store::open_with(&path, crate::store::Limits::once()).unwrap().snapshot().unwrap();
+    let kept = crate::store::Store::open(&path).unwrap();
+    let snapshot = kept.snapshot().unwrap();
+    let ball = Region::new_sphere([200.0, 100.0, 0.0], 150.0).unwrap();
+    let box_ = Region::new_box([-1e9; 3], [100.0, 200.0, 1e9]).unwrap();
+    for region in [ball, box_, Region::Everything] {
+        for filter in ["", "class < 3", "X > 30 and code > 1000"] {
+            let mut query = Query::new().region(region.clone()).with_scans(true);
+            if !filter.is_empty() {
+                query = query.filter(Filter::parse(filter).unwrap());
+            }
+            let (expected, cost) = query.collect(&once).unwrap();
+            assert_eq!((cost.statistics.blocks_cached, cost.statistics.chunks_cached), (0, 0));
+            for round in 0..2 {
+                let (found, answer) = query.collect(&snapshot).unwrap();
+                assert!(found == expected, "{region:?} {filter} round {round}");
+                if round == 1 {
+                    assert_eq!(answer.statistics.bytes_read, 0);
+                    assert_eq!(answer.statistics.points_decoded, 0);
+                    assert!(answer.statistics.blocks_cached > 0);
+                }
+            }
+        }
+    }
+    let figures = kept.cache_figures();
+    assert!(figures.block_hits > 0 && figures.block_bytes > 0 && figures.row_bytes > 0, "{figures:?}");
+    assert_eq!(test.points.len(), 60_000);
+}
+
+fn worlds(test: &TestStore, p: &Point) -> [f64; 3] {
+    test.lattice.world_from_lattice(p.at())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(80))]
+
+    #[test]
+    fn neighbours_are_those_that_brute_force_finds(
+        places in places(120), params in params(), asked in asked(), k in 0_usize..9,
+        near in prop::collection::vec(prop::array::uniform3(-30_i32..300), 1..4), radius in prop::option::of(0.0..40.0),
+    ) {
+        let test = store(&[numbered(places)], params, None);
+        prop_assume!(!test.points.is_empty());
+        // On the corners of a grid half as fine: many are equally far.
+        let corner = test.lattice.world_from_lattice(Cube::containing(test.points[0].at(), 7).low());
+        let near: Vec<[f64; 3]> =
+            near.iter().map(|p| std::array::from_fn(|i| f64::from(p[i]) / 2.0 * QUANTUM + corner[i])).collect();
+        let matches = asked.matches(&test, None);
+        let query = asked.query(&test).attributes(["class", "height", "code"]);
+        let found = query.nearest(&test.snapshot, &near, k, radius).unwrap();
+        prop_assert_eq!(found.ends.len(), near.len());
+        prop_assert_eq!(found.batch.len(), found.distances.len());
+        let mine = points(&found.batch);
+        let mut start = 0;
+        for (at, &end) in near.iter().zip(&found.ends) {
+            let square = |p: &Point| {
+                let w = worlds(&test, p);
+                let [dx, dy, dz]: [f64; 3] = std::array::from_fn(|i| w[i] - at[i]);
+                (dx * dx + dy * dy) + dz * dz
+            };
+            let mut all: Vec<(f64, Key)> = test.points.iter().filter(|p| matches(p))
+                .map(|p| (square(p), p.key)).filter(|(s, _)| radius.is_none_or(|r| *s <= r * r)).collect();
+            all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            all.truncate(k);
+            let own = &mine[start..end];
+            let got: Vec<(f64, Key)> = own.iter().map(|p| (square(p), p.key)).collect();
+            prop_assert_eq!(&got, &all);
+            prop_assert!(own.iter().all(&matches));
+            let ids: std::collections::BTreeSet<u32> = own.iter().map(|p| p.id).collect();
+            prop_assert_eq!(ids.len(), own.len(), "each of them once");
+            for (p, d) in own.iter().zip(&found.distances[start..end]) {
+                prop_assert_eq!(square(p).sqrt(), *d);
+            }
+            start = end;
+        }
+    }
+
+    #[test]
+    fn densities_are_counts_and_heights_by_square(
+        places in places(120), params in params(), asked in asked(), side in prop::sample::select(vec![0.25, 0.7, 3.0, 100.0]),
+    ) {
+        let test = store(&[numbered(places)], params, None);
+        let matches = asked.matches(&test, None);
+        let mut expected: BTreeMap<[i64; 2], (u64, f64, f64)> = BTreeMap::new();
+        for p in test.points.iter().filter(|p| matches(p)) {
+            let w = worlds(&test, p);
+            let square = expected.entry([0, 1].map(|i| (w[i] / side).floor() as i64)).or_insert((0, w[2], w[2]));
+            *square = (square.0 + 1, square.1.min(w[2]), square.2.max(w[2]));
+        }
+        let found = asked.query(&test).density(&test.snapshot, side).unwrap();
+        let mut squares = BTreeMap::new();
+        for (i, &n) in found.counts.iter().enumerate() {
+            let at = [i % found.size[0], i / found.size[0]];
+            prop_assert_eq!(n == 0, found.lowest[i].is_nan() && found.highest[i].is_nan());
+            if n > 0 {
+                let at = [0, 1].map(|a| found.first[a] + at[a] as i64);
+                squares.insert(at, (n, found.lowest[i], found.highest[i]));
+            }
+        }
+        prop_assert_eq!(squares, expected);
+    }
+}
+
+#[test]
+fn a_coarse_density_reads_nothing() {
+    let mut points = surface(30_000);
+    // All in one square of the coarse grid, which has edges at zero.
+    points.retain(|p| p.at().0[..2].iter().all(|&c| c >= BIAS as u64));
+    let count = points.len() as u64;
+    let test = store(&[points], Params { g: 4, leaf_capacity: 500 }, None);
+    let found = Query::new().density(&test.snapshot, 1e6).unwrap();
+    assert_eq!(found.counts, [count]);
+    assert_eq!(found.statistics.bytes_read, 0);
+    let fine = Query::new().density(&test.snapshot, 50.0).unwrap();
+    assert!(fine.statistics.points_decoded < 20_000, "{:?}", fine.statistics);
+    let refused = |side: f64| Query::new().density(&test.snapshot, side).is_err();
+    assert!(refused(0.0) && refused(f64::NAN) && refused(-1.0) && refused(f64::INFINITY));
+    let refused = |query: Query| query.nearest(&test.snapshot, &[[0.0, f64::NAN, 0.0]], 1, None).is_err();
+    assert!(refused(Query::new()));
+    assert!(Query::new().capacity(3).nearest(&test.snapshot, &[[0.0; 3]], 1, None).is_err());
+    assert!(Query::new().nearest(&test.snapshot, &[[0.0; 3]], 1, Some(-1.0)).is_err());
+}

@@ -29,6 +29,7 @@ mod tests;
 mod thin;
 mod ties;
 mod view;
+mod view_parts;
 
 pub use answer::{Answer, Statistics};
 pub use batches::Batches;
@@ -43,3 +44,4 @@ pub use region::{LatticeRegion, Polygons, Region};
 pub use request::{Attributes, Query};
 pub use summary::{AttributeSummary, Summary};
 pub use view::{SelectedPart, Selection, select_view};
+pub use view_parts::{PartId, PartPoints, Take, ViewParts, Wanted, WantedNode, WantedPart};

@@ -76,6 +76,11 @@ impl<'a> Part<'a> {
         Ok(())
     }
 
+    /// Bytes of the columns read so far.
+    pub fn bytes_read(&self) -> u64 {
+        self.chunks.iter().flat_map(|(_, chunk)| chunk).map(|chunk| chunk.len() as u64).sum()
+    }
+
     fn chunk(&self, slot: Slot) -> Option<&ChunkBytes> {
         self.chunks.iter().find(|(s, _)| *s == slot).and_then(|(_, c)| c.as_ref())
     }

@@ -132,7 +132,7 @@ impl Default for RenderOptions {
             shape: Shape::default(),
             radius_factor: 0.75,
             min_radius_px: 0.5,
-            max_radius_of_height: 0.125,
+            max_radius_of_height: 0.05,
             edl: Some(Edl::default()),
             fog: None,
             shadow_px: 0.0,

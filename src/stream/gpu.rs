@@ -6,7 +6,7 @@
 //! list until the commands that draw it are submitted, and no longer.
 
 use crate::lattice::{Cube, Lattice, LatticePoint};
-use crate::points::Batch;
+use crate::points::{Batch, Positions};
 use bytemuck::{Pod, Zeroable};
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -43,6 +43,21 @@ impl PackedPoint {
         let half = (1_u64 << shift) >> 1;
         let step = |i: usize| (point.0[i].wrapping_sub(low.0[i]).saturating_add(half) >> shift).min(u32::MAX.into());
         Self { steps: std::array::from_fn(|i| step(i) as u32), value }
+    }
+
+    /// Packs all points of a batch that lie in `cube`, with their values, as [`PackedPoint::pack`] does one.
+    pub fn pack_all(cube: Cube, positions: &Positions, values: &[u32], points: &mut Vec<Self>) {
+        let axes = positions.x.iter().zip(&positions.y).zip(&positions.z).zip(values);
+        if step_shift(cube) > 0 {
+            points.extend(axes.map(|(((&x, &y), &z), &value)| Self::pack(cube, LatticePoint([x, y, z]), value)));
+            return;
+        }
+        // A cube of at most 2^32 steps is aligned: the low words alone say where in it a point is.
+        let [x0, y0, z0] = cube.low().0.map(|c| c as u32);
+        points.extend(axes.map(|(((&x, &y), &z), &value)| {
+            let steps = [(x as u32).wrapping_sub(x0), (y as u32).wrapping_sub(y0), (z as u32).wrapping_sub(z0)];
+            Self { steps, value }
+        }));
     }
 
     /// The point again, up to the rounding of [`PackedPoint::pack`].
@@ -274,6 +289,9 @@ mod tests {
                 prop_assert!(error <= half || at_top && error < 2 * half, "{} of {}", error, half);
             }
             prop_assert_eq!(packed.value, value);
+            let mut all = Vec::new();
+            PackedPoint::pack_all(cube, &[point, cube.low()].into_iter().collect(), &[value, 7], &mut all);
+            prop_assert_eq!(all, vec![packed, PackedPoint::pack(cube, cube.low(), 7)]);
         }
     }
 

@@ -1,0 +1,341 @@
+//! What a picture costs, stage by stage, at budgets from 0.5 to 10 million points; and what a point costs as a triangle,
+//! as a quad and as a point primitive on this machine's adapter.
+//!
+//! `cargo bench --bench render` takes a generated store of 1.5 million points; `ESKER_STORE=big.esker` another one. Each
+//! figure is the median of five, with the least and the greatest, in nanoseconds a point that passed on all cores.
+
+#![allow(missing_docs)]
+
+use esker::generate::{GenerateOptions, Kind, generate};
+use esker::geometry::{Camera, WorldBox};
+use esker::ingest::{IngestOptions, ingest};
+use esker::query::{PartPoints, Query, Take, ViewParts, Wanted, WantedPart};
+use esker::render::{ColorDepths, ColorMode, ColorOptions, Coloring, GpuPool, RenderOptions, Renderer, View};
+use esker::store::{Snapshot, Store};
+use esker::stream::gpu::{BLOCK_POINTS, BlockId, DrawBlock, DrawList, DrawNode, PackedPoint, Paint, PointPool};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+type Error = Box<dyn std::error::Error>;
+
+const RUNS: usize = 5;
+const SIZE_PX: [u32; 2] = [1280, 720];
+
+fn main() -> Result<(), Error> {
+    let folder = tempfile::tempdir()?;
+    let path = match std::env::var_os("ESKER_STORE") {
+        Some(path) => PathBuf::from(path),
+        None => {
+            let (source, path) = (folder.path().join("terrain.las"), folder.path().join("terrain.esker"));
+            generate(Kind::Terrain, 1_500_000, 1, &source, &GenerateOptions::default(), &mut |_| true)?;
+            ingest(&path, &[source], &IngestOptions::default(), &())?;
+            path
+        }
+    };
+    let renderer = Renderer::new()?;
+    println!("{} threads, drawn by {}\n", rayon::current_num_threads(), renderer.adapter_name());
+    stages(&Store::open(&path)?.snapshot()?, &renderer)?;
+    primitives::compare()
+}
+
+/// Median, least and greatest, in nanoseconds for each of `points`.
+fn spread(mut times: Vec<Duration>, points: u64) -> String {
+    times.sort_unstable();
+    let ns = |time: Duration| time.as_nanos() as f64 / points.max(1) as f64;
+    format!("{:.1} ({:.1}-{:.1})", ns(times[times.len() / 2]), ns(times[0]), ns(times[times.len() - 1]))
+}
+
+fn timed<T>(times: &mut Vec<Duration>, work: impl FnOnce() -> T) -> T {
+    let started = Instant::now();
+    let done = work();
+    times.push(started.elapsed());
+    done
+}
+
+fn bounds(snapshot: &Snapshot) -> Result<WorldBox, Error> {
+    let all = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b)).ok_or("no points")?;
+    let world = |p| snapshot.site().lattice.world_from_lattice(p);
+    Ok(WorldBox::new(world(all.min), world(all.max)).ok_or("no box")?)
+}
+
+fn stages(snapshot: &Snapshot, renderer: &Renderer) -> Result<(), Error> {
+    let camera = Camera::looking_at_all(&bounds(snapshot)?, SIZE_PX)?;
+    let lattice = &snapshot.site().lattice;
+    let has = |name: &str| snapshot.attributes().iter().any(|a| a.attribute.name == name);
+    let depths = ColorDepths::of_scans(snapshot.scans().iter().map(|s| (s.id, s.color_depth)));
+    let options = ColorOptions { mode: ColorMode::Rgb.resolved(has)?, depths, ..ColorOptions::default() };
+    let coloring = Coloring::new(&[], lattice, &options)?;
+    let names: Vec<String> = coloring.paint.attributes();
+    let query = if names.is_empty() { Query::new().positions_only() } else { Query::new().attributes(names) };
+    let parts = query.with_scans(coloring.paint.needs_scans()).view_parts(snapshot)?;
+    let stored: u64 = snapshot.scans().iter().map(|s| s.stored).sum();
+    println!("| points | select | read + decode | of it reading, by core | pack | upload | draw | load M points/s |");
+    println!("|---|---|---|---|---|---|---|---|");
+    for budget in [500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000_u64] {
+        let [mut select, mut load, mut read, mut pack, mut upload, mut draw] = [const { Vec::new() }; 6];
+        let mut points = 0;
+        for _ in 0..RUNS {
+            let wanted = timed(&mut select, || selected(&parts, &camera, budget))?;
+            points = wanted.points;
+            let before = parts.statistics().seconds_reading;
+            let found: Vec<PartPoints> =
+                timed(&mut load, || wanted.parts.par_iter().map(|part| parts.read(part)).collect::<Result<_, _>>())?;
+            read.push(Duration::from_secs_f64(parts.statistics().seconds_reading - before));
+            let packed: Vec<Vec<PackedPoint>> = timed(&mut pack, || {
+                found
+                    .par_iter()
+                    .zip(&wanted.parts)
+                    .map(|(found, part)| packed(found, part, &coloring, snapshot))
+                    .collect()
+            });
+            drop(found);
+            let blocks = packed.iter().map(|p| p.len().div_ceil(BLOCK_POINTS as usize)).sum::<usize>();
+            let mut pool = renderer.pool(blocks as u32, BLOCK_POINTS)?;
+            let list = timed(&mut upload, || -> Result<_, Error> {
+                let list = uploaded(&wanted, &packed, &mut pool, snapshot, coloring.paint.tag())?;
+                renderer.finish()?;
+                Ok(list)
+            })?;
+            let mut canvas = renderer.canvas(false);
+            let view = View { camera: &camera, options: &RenderOptions::default(), palette: &coloring.palette };
+            timed(&mut draw, || renderer.render_list(&mut canvas, &pool.points(), &list, view))?;
+        }
+        let each = load.iter().zip(&pack).map(|(a, b)| *a + *b).min().unwrap_or_default();
+        println!(
+            "| {points} | {} | {} | {} | {} | {} | {} | {:.0} |",
+            spread(select, points),
+            spread(load, points),
+            spread(read, points),
+            spread(pack, points),
+            spread(upload, points),
+            spread(draw, points),
+            points as f64 / each.as_secs_f64() / 1e6
+        );
+        if budget >= stored {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn selected(parts: &ViewParts, camera: &Camera, budget: u64) -> Result<Wanted, Error> {
+    let mut left = budget;
+    let take = |_: &_, stored: u32| {
+        if u64::from(stored) > left {
+            return Take::First(0);
+        }
+        left -= u64::from(stored);
+        Take::All(stored)
+    };
+    Ok(parts.select(camera, 0.0, take)?)
+}
+
+fn packed(found: &PartPoints, part: &WantedPart, coloring: &Coloring, snapshot: &Snapshot) -> Vec<PackedPoint> {
+    let mut values = Vec::with_capacity(found.batch.len());
+    coloring.paint.paint(&found.batch, &snapshot.site().lattice, &mut values);
+    let mut points = Vec::with_capacity(values.len());
+    PackedPoint::pack_all(part.cube, &found.batch.positions, &values, &mut points);
+    points
+}
+
+fn uploaded(
+    wanted: &Wanted,
+    packed: &[Vec<PackedPoint>],
+    pool: &mut GpuPool,
+    snapshot: &Snapshot,
+    paint: u64,
+) -> Result<DrawList, Error> {
+    let mut list = DrawList::empty(snapshot.site().lattice.clone(), paint);
+    // In node-key order, as a list must be; parents come first in it.
+    let mut order: BTreeMap<_, usize> = BTreeMap::new();
+    for (i, node) in wanted.nodes.iter().enumerate() {
+        order.insert((node.cube.node_key(), node.layer), i);
+    }
+    let mut place = vec![0; wanted.nodes.len()];
+    for (at, &i) in (0..).zip(order.values()) {
+        place[i] = at;
+        let node = &wanted.nodes[i];
+        let parent = node.parent.map(|p| place[p as usize]);
+        let (cube, layer, spacing) = (node.cube, node.layer, node.spacing_before);
+        list.nodes.push(DrawNode { cube, layer, spacing, stand_in: false, parent });
+    }
+    let mut parts: Vec<usize> = (0..wanted.parts.len()).collect();
+    parts.sort_by_key(|&i| (place[wanted.parts[i].node as usize], wanted.parts[i].part));
+    let mut next = 0;
+    for i in parts {
+        let (part, node) = (&wanted.parts[i], place[wanted.parts[i].node as usize]);
+        list.nodes[node as usize].spacing = part.spacing;
+        for (chunk, number) in packed[i].chunks(BLOCK_POINTS as usize).zip(0..) {
+            pool.write(BlockId(next), chunk)?;
+            let (points, first) = (chunk.len() as u32, number * BLOCK_POINTS);
+            list.blocks.push(DrawBlock { block: BlockId(next), points, node, part: part.part, first });
+            list.points += u64::from(points);
+            next += 1;
+        }
+    }
+    Ok(list)
+}
+
+/// The same discs as three kinds of primitives.
+mod primitives {
+    use super::{Error, RUNS, SIZE_PX, spread, timed};
+
+    const POINTS: u32 = 1 << 20;
+
+    const WGSL: &str = "
+        struct Disc { @builtin(position) at: vec4<f32>, @location(0) @interpolate(flat) center: vec2<f32> }
+        @group(0) @binding(0) var<storage, read> points: array<vec4<f32>>;
+        override radius: f32 = 1.0;
+        const SIZE = vec2<f32>(1280.0, 720.0);
+        fn disc(index: u32, corner: vec2<f32>) -> Disc {
+            let point = points[index];
+            let px = point.xy + radius * corner;
+            return Disc(vec4<f32>(px / SIZE * 2.0 - 1.0, point.z, 1.0), vec2<f32>(point.x, SIZE.y - point.y));
+        }
+        @vertex fn triangle(@builtin(vertex_index) i: u32) -> Disc {
+            var corner = vec2<f32>(0.0, 2.0);
+            if (i % 3u == 1u) { corner = vec2<f32>(-1.7320508, -1.0); }
+            else if (i % 3u == 2u) { corner = vec2<f32>(1.7320508, -1.0); }
+            return disc(i / 3u, corner);
+        }
+        @vertex fn quad(@builtin(vertex_index) i: u32) -> Disc {
+            let k = i % 6u;
+            let x = select(-1.0, 1.0, k == 1u || k == 2u || k == 4u);
+            let y = select(-1.0, 1.0, k == 2u || k == 4u || k == 5u);
+            return disc(i / 6u, vec2<f32>(x, y));
+        }
+        @vertex fn strip(@builtin(vertex_index) k: u32, @builtin(instance_index) i: u32) -> Disc {
+            return disc(i, vec2<f32>(select(-1.0, 1.0, (k & 1u) == 1u), select(-1.0, 1.0, (k & 2u) == 2u)));
+        }
+        @vertex fn point(@builtin(vertex_index) i: u32) -> Disc { return disc(i, vec2<f32>(0.0)); }
+        @fragment fn round(d: Disc) -> @location(0) vec4<f32> {
+            let away = d.at.xy - d.center;
+            if (dot(away, away) > radius * radius) { discard; }
+            return vec4<f32>(1.0);
+        }
+        @fragment fn whole(d: Disc) -> @location(0) vec4<f32> { return vec4<f32>(1.0); }
+    ";
+
+    pub fn compare() -> Result<(), Error> {
+        let instance = wgpu::Instance::default();
+        let adapter = pollster::block_on(instance.request_adapter(&Default::default()))?;
+        let (device, queue) = pollster::block_on(adapter.request_device(&Default::default()))?;
+        let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+            label: None,
+            size: u64::from(POINTS) * 16,
+            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        // Anywhere on the image, at any depth: a Weyl sequence in three dimensions.
+        let along = |i: u32, factor: f64| (f64::from(i) * factor).fract() as f32;
+        let points: Vec<[f32; 4]> = (0..POINTS)
+            .map(|i| {
+                let at = [along(i, 0.819_172_513_396_164_4), along(i, 0.671_043_606_703_789_2)];
+                [at[0] * SIZE_PX[0] as f32, at[1] * SIZE_PX[1] as f32, along(i, 0.549_700_477_901_911_8), 0.0]
+            })
+            .collect();
+        queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&points));
+        let texture = |format| {
+            let texture = device.create_texture(&wgpu::TextureDescriptor {
+                label: None,
+                size: wgpu::Extent3d { width: SIZE_PX[0], height: SIZE_PX[1], depth_or_array_layers: 1 },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format,
+                usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+                view_formats: &[],
+            });
+            texture.create_view(&Default::default())
+        };
+        let (colors, depths) = (texture(wgpu::TextureFormat::Rgba8Unorm), texture(wgpu::TextureFormat::Depth32Float));
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: None,
+            source: wgpu::ShaderSource::Wgsl(WGSL.into()),
+        });
+        println!("\n| discs of radius | triangle | quad, 6 vertices | quad, strip of 4 | point primitive (1 pixel) |");
+        println!("|---|---|---|---|---|");
+        for radius in [0.75, 1.5, 3.0, 6.0] {
+            print!("| {radius} px |");
+            let (list, strip) = (wgpu::PrimitiveTopology::TriangleList, wgpu::PrimitiveTopology::TriangleStrip);
+            let kinds = [
+                ("triangle", "round", list, 3 * POINTS, 1),
+                ("quad", "round", list, 6 * POINTS, 1),
+                ("strip", "round", strip, 4, POINTS),
+                ("point", "whole", wgpu::PrimitiveTopology::PointList, POINTS, 1),
+            ];
+            for (vertex, fragment, topology, vertices, instances) in kinds {
+                let constants = [("radius", radius)];
+                let compilation_options =
+                    wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
+                let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+                    label: None,
+                    layout: None,
+                    vertex: wgpu::VertexState {
+                        module: &module,
+                        entry_point: Some(vertex),
+                        compilation_options: compilation_options.clone(),
+                        buffers: &[],
+                    },
+                    primitive: wgpu::PrimitiveState { topology, ..Default::default() },
+                    depth_stencil: Some(wgpu::DepthStencilState {
+                        format: wgpu::TextureFormat::Depth32Float,
+                        depth_write_enabled: Some(true),
+                        depth_compare: Some(wgpu::CompareFunction::Greater),
+                        stencil: Default::default(),
+                        bias: Default::default(),
+                    }),
+                    multisample: Default::default(),
+                    fragment: Some(wgpu::FragmentState {
+                        module: &module,
+                        entry_point: Some(fragment),
+                        compilation_options,
+                        targets: &[Some(wgpu::TextureFormat::Rgba8Unorm.into())],
+                    }),
+                    multiview_mask: None,
+                    cache: None,
+                });
+                let entries = [wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }];
+                let layout = &pipeline.get_bind_group_layout(0);
+                let group =
+                    device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries });
+                let mut times = Vec::new();
+                for _ in 0..RUNS {
+                    let mut encoder = device.create_command_encoder(&Default::default());
+                    {
+                        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                                view: &colors,
+                                depth_slice: None,
+                                resolve_target: None,
+                                ops: Default::default(),
+                            })],
+                            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                                view: &depths,
+                                depth_ops: Some(wgpu::Operations {
+                                    load: wgpu::LoadOp::Clear(0.0),
+                                    store: wgpu::StoreOp::Store,
+                                }),
+                                stencil_ops: None,
+                            }),
+                            ..Default::default()
+                        });
+                        pass.set_pipeline(&pipeline);
+                        pass.set_bind_group(0, &group, &[]);
+                        pass.draw(0..vertices, 0..instances);
+                    }
+                    timed(&mut times, || -> Result<(), Error> {
+                        queue.submit([encoder.finish()]);
+                        device.poll(wgpu::PollType::wait_indefinitely())?;
+                        Ok(())
+                    })?;
+                }
+                print!(" {} |", spread(times, POINTS.into()));
+            }
+            println!();
+        }
+        Ok(())
+    }
+}

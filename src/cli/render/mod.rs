@@ -1,0 +1,242 @@
+//! `esker render`: pictures without a window.
+
+mod options;
+mod resident;
+mod session;
+mod statistics;
+mod walk;
+
+use super::{Outcome, output, values};
+use crate::geometry::{Camera, WorldBox};
+use crate::points::Batch;
+use crate::query::{Detail, Filter, Query, Region};
+use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring, Renderer};
+use crate::store::{Snapshot, Store};
+use crate::stream::gpu::Paint;
+use anyhow::{Context, bail};
+use clap::Args;
+use session::{Asked, Session};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Draws a store as a PNG, from a given camera or from above the whole site; or a walk as many.
+///
+/// Works without a window and without a graphics card (on software Vulkan). Points are round splats as large as the
+/// spacing at their place, shaded by eye-dome lighting.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  esker render site.esker -o site.png\n  \
+                  esker render site.esker --view door.json --size 1920x1080 --color height -o door.png\n  \
+                  esker render site.esker --color class --where 'Classification <> 7' --shape paraboloid -o classes.png\n  \
+                  esker render site.esker --clip 500,200,-inf,520,240,inf --background ffffff -o strip.png\n  \
+                  esker render site.esker --path walk.json --stats walk.csv -o walk.png     (walk-0000.png, ...)\n\n\
+                  A view file: {\"eye\":[x,y,z],\"target\":[x,y,z],\"up\":[0,0,1],\"projection\":\"perspective\",\
+                  \"fov_y_deg\":60,\"size\":[1280,720]}; \"orthographic\" has \"height\" instead of \"fov_y_deg\".\n\
+                  A walk: [VIEW, VIEW, ...], a frame each, or {\"keyframes\":[VIEW, ...],\"frames\":N}.")]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// The camera: a view file in JSON (default: the whole site from above, from the south-west).
+    #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["bookmark", "path"])]
+    view: Option<PathBuf>,
+    /// A camera that is saved in the store.
+    #[arg(long, value_name = "NAME", conflicts_with = "path")]
+    bookmark: Option<String>,
+    /// The cameras of a walk in JSON: numbered pictures, with what is loaded kept from one to the next.
+    #[arg(long, value_name = "CAMERAS.json")]
+    path: Option<PathBuf>,
+    /// Width and height in pixels (default: the view's, or 1280x720).
+    #[arg(long, value_name = "WxH", value_parser = values::pixels)]
+    size: Option<[u32; 2]>,
+    /// At most so many points.
+    #[arg(long, visible_alias = "budget", value_name = "N", default_value = "2M", value_parser = values::count)]
+    capacity: u64,
+    /// Stop where the spacing is below so many pixels.
+    #[arg(long, value_name = "PX", default_value = "1", value_parser = values::not_negative)]
+    max_error_px: f64,
+    /// rgb, intensity, height, class, return, scan, level or time; rgb falls back to intensity, then height.
+    #[arg(long, value_name = "MODE", default_value = "rgb")]
+    color: ColorMode,
+    /// The values at the two ends of the colours of intensity, height or time (default: the 1st and the 99th percentile
+    /// of the site).
+    #[arg(long, value_name = "LOW,HIGH", value_parser = options::range, allow_hyphen_values = true)]
+    range: Option<[f64; 2]>,
+    /// Only points for which this is true.
+    #[arg(long = "where", value_name = "EXPR")]
+    filter: Option<String>,
+    /// Only this scan, by name or id; may be given several times.
+    #[arg(long = "scan", value_name = "NAME")]
+    scans: Vec<String>,
+    #[command(flatten)]
+    look: options::Look,
+    /// A table of what each frame cost, as CSV.
+    #[arg(long, value_name = "FILE.csv")]
+    stats: Option<PathBuf>,
+    /// The picture; with --path the name before the numbers.
+    #[arg(short, long, value_name = "OUT.png")]
+    output: PathBuf,
+    /// Replace existing files.
+    #[arg(long)]
+    force: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    // The adapter takes its time, and needs nothing of the store.
+    let starting = std::thread::spawn(Renderer::new);
+    let store = Store::open(&arguments.store)?;
+    let outputs = |frames: usize| -> Vec<PathBuf> {
+        match arguments.path {
+            None => vec![arguments.output.clone()],
+            Some(_) => (0..frames).map(|frame| numbered(&arguments.output, frame)).collect(),
+        }
+    };
+    let snapshot = store.snapshot()?;
+    let cameras = cameras(arguments, &snapshot)?;
+    let outputs = outputs(cameras.len());
+    // Before the work, not after it.
+    for path in outputs.iter().chain(&arguments.stats) {
+        if path.exists() && !arguments.force {
+            bail!("{}: exists already; use --force to replace it", path.display());
+        }
+    }
+    let mut table = match &arguments.stats {
+        Some(path) => {
+            let file = std::fs::File::create(path).with_context(|| format!("can't write {}", path.display()))?;
+            Some((path, std::io::BufWriter::new(file)))
+        }
+        None => None,
+    };
+    let mut write_line = |line: &str| match &mut table {
+        Some((path, file)) => file
+            .write_all(line.as_bytes())
+            .and_then(|()| file.flush())
+            .with_context(|| format!("can't write {}", path.display())),
+        None => Ok(()),
+    };
+    write_line(&format!("{}\n", statistics::HEAD))?;
+
+    let query = query(arguments)?;
+    let coloring = coloring(arguments, &snapshot, &query)?;
+    let mut session = session(arguments, &snapshot, query, coloring, starting)?;
+    for ((frame, camera), path) in cameras.iter().enumerate().zip(&outputs) {
+        let (mut image, cost) = session.frame(camera)?;
+        if arguments.look.legend {
+            image.draw_legend(session.legend());
+        }
+        image.write_png(path, arguments.force)?;
+        write_line(&cost.line(frame))?;
+        let bound = cost.error_px.map_or_else(String::new, |px| format!(", screen-space error {px:.2} pixels"));
+        output::line(format_args!(
+            "{}: {} points{bound}, drawn by {}",
+            path.display(),
+            output::grouped(cost.points),
+            session.adapter_name()
+        ))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// `walk.png` and 7 as `walk-0007.png`.
+fn numbered(path: &Path, frame: usize) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let ending = path.extension().map_or_else(|| "png".into(), |e| e.to_string_lossy());
+    path.with_file_name(format!("{stem}-{frame:04}.{ending}"))
+}
+
+fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Camera>> {
+    let site = snapshot.scans().iter().filter(|s| s.visible).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
+    let bounds = site.map(|b| super::info::world_bounds(&snapshot.site().lattice, &b));
+    let (min, max) = bounds.unwrap_or(([0.0; 3], [1.0; 3]));
+    let bounds = WorldBox::new(min, max).context("the site's bounds are no box")?;
+    let cameras = match (&arguments.path, &arguments.view, &arguments.bookmark) {
+        (Some(path), ..) => walk::read(path)?,
+        (None, Some(path), _) => vec![super::query::read_view(path)?],
+        (None, None, Some(name)) => {
+            let bookmarks = snapshot.bookmarks()?;
+            let found = bookmarks.iter().find(|(n, _)| n == name);
+            let (_, json) = found.with_context(|| format!("the store has no bookmark '{name}'"))?;
+            vec![serde_json::from_str(json).with_context(|| format!("bookmark '{name}' is no view"))?]
+        }
+        (None, None, None) => vec![Camera::looking_at_all(&bounds, arguments.size.unwrap_or([1280, 720]))?],
+    };
+    let sized = cameras.into_iter().map(|camera| match arguments.size {
+        Some(size) => camera.with_size(size),
+        None => Ok(camera),
+    });
+    sized.map(|camera| Ok(camera?.reaching(&bounds))).collect()
+}
+
+/// Which points count.
+fn query(arguments: &Arguments) -> anyhow::Result<Query> {
+    let mut query = Query::new();
+    if let Some(text) = &arguments.filter {
+        query = query.filter(Filter::parse(text)?);
+    }
+    if !arguments.scans.is_empty() {
+        query = query.scans(arguments.scans.iter().cloned());
+    }
+    // What one box keeps is also all that is read; several are left to the passes.
+    if let Some([min, max]) = arguments.look.kept_box() {
+        query = query.region(Region::new_box(min, max)?);
+    }
+    Ok(query)
+}
+
+/// How points are coloured, by the points of the coarsest level.
+fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow::Result<Coloring> {
+    let has = |name: &str| snapshot.attributes().iter().any(|a| a.attribute.name == name);
+    let mode = arguments.color.resolved(has)?;
+    if mode != arguments.color {
+        eprintln!("esker: the points have no {} to show; shown by {}", arguments.color.word(), mode.word());
+    }
+    let scans = || snapshot.scans().iter();
+    let options = ColorOptions {
+        mode,
+        depths: ColorDepths::of_scans(
+            scans().filter(|s| s.visible || !arguments.scans.is_empty()).map(|s| (s.id, s.color_depth)),
+        ),
+        range: arguments.range,
+        scan_names: scans().map(|s| (s.id, s.name.clone())).collect(),
+    };
+    let uncolored = mode == ColorMode::Rgb && options.depths.by_scan.values().any(Option::is_none);
+    let mut sample = Vec::new();
+    if (mode.has_range() && arguments.range.is_none()) || uncolored || arguments.look.legend {
+        let mut names: Vec<String> = mode.attributes().iter().map(|n| (*n).to_owned()).collect();
+        if uncolored && has("Intensity") {
+            names.push("Intensity".into());
+        }
+        let asked = with_attributes(query.clone(), names).with_scans(true).detail(Detail::Level(0));
+        asked.run(snapshot, |batch| {
+            sample.push(batch);
+            std::ops::ControlFlow::Continue(())
+        })?;
+    }
+    let sample: Vec<&Batch> = sample.iter().collect();
+    Ok(Coloring::new(&sample, &snapshot.site().lattice, &options)?)
+}
+
+fn with_attributes(query: Query, names: Vec<String>) -> Query {
+    if names.is_empty() { query.positions_only() } else { query.attributes(names) }
+}
+
+fn session(
+    arguments: &Arguments,
+    snapshot: &Snapshot,
+    query: Query,
+    coloring: Coloring,
+    starting: std::thread::JoinHandle<Result<Renderer, crate::render::RenderError>>,
+) -> anyhow::Result<Session> {
+    let all_match = arguments.filter.is_none()
+        && arguments.scans.is_empty()
+        && arguments.look.kept_box().is_none()
+        && snapshot.scans().iter().all(|s| s.visible);
+    let has = |name: &String| snapshot.attributes().iter().any(|a| a.attribute.name == *name);
+    let names = coloring.paint.attributes().into_iter().filter(has).collect();
+    let parts = with_attributes(query, names).with_scans(coloring.paint.needs_scans()).view_parts(snapshot)?;
+    let asked = Asked {
+        capacity: arguments.capacity.min(u32::MAX.into()),
+        max_error_px: arguments.max_error_px,
+        options: arguments.look.options()?,
+        all_match,
+    };
+    Ok(Session::new(parts, coloring, asked, starting))
+}

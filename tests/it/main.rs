@@ -13,4 +13,6 @@ mod outofcore;
 mod pictures;
 mod poses;
 mod readers;
+#[cfg(feature = "stream")]
+mod streaming;
 mod support;

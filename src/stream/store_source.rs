@@ -1,0 +1,187 @@
+//! A store as the source: selecting and decoding on rayon's threads.
+
+use super::gpu::{PackedPoint, Paint};
+use super::settings::Shown;
+use super::source::{Content, Loaded, Pending, Selected, Source, StreamError, View};
+use crate::lattice::Lattice;
+use crate::points::Batch;
+use crate::query::{PartId, Query, Take, ViewParts, WantedPart};
+use crate::store::{Snapshot, Store};
+use std::collections::HashMap;
+use std::sync::{Arc, PoisonError, RwLock};
+use tokio::sync::oneshot;
+
+/// The points of a store, also while it changes.
+#[derive(Clone, Debug)]
+pub struct StoreSource {
+    store: Store,
+}
+
+impl StoreSource {
+    /// Of this store.
+    pub fn new(store: Store) -> Self {
+        Self { store }
+    }
+}
+
+/// Runs `work` on rayon's threads.
+fn spawn<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, StreamError> + Send + 'static,
+) -> Pending<Result<T, StreamError>> {
+    let (sender, receiver) = oneshot::channel();
+    rayon::spawn(move || {
+        // A panic in here is a bug, but not the end of the picture: the sender is dropped, and that is told.
+        let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+        if let Ok(done) = done {
+            // Nobody waits for what was superseded.
+            let _ = sender.send(done);
+        }
+    });
+    Box::pin(async move { receiver.await.unwrap_or(Err(StreamError::GivenUp)) })
+}
+
+impl Source for StoreSource {
+    fn open(&self, shown: Shown) -> Pending<Result<Arc<dyn Content>, StreamError>> {
+        let store = self.store.clone();
+        spawn(move || Ok(Arc::new(StoreContent::open(store, &shown)?) as Arc<dyn Content>))
+    }
+}
+
+/// A snapshot of a store, seen in one way. Its own methods do on the calling thread what [`Content`] does elsewhere.
+pub struct StoreContent {
+    store: Store,
+    parts: ViewParts,
+    /// The same with all attributes.
+    whole: ViewParts,
+    paint: Arc<dyn Paint>,
+    /// Does every stored point match?
+    all_match: bool,
+    /// How many points of a part match, as far as parts were read.
+    matching: RwLock<HashMap<PartId, u32>>,
+}
+
+impl StoreContent {
+    /// The newest snapshot.
+    ///
+    /// # Errors
+    ///
+    /// [`StreamError`] if the store can't be read, or has no attribute that the filter names.
+    pub fn open(store: Store, shown: &Shown) -> Result<Self, StreamError> {
+        let snapshot = store.snapshot()?;
+        let mut query = Query::new();
+        let names = shown.scans.names(&snapshot);
+        let all_scans = names.is_none() && snapshot.scans().iter().all(|s| s.visible);
+        if let Some(names) = names {
+            query = query.scans(names);
+        }
+        if let Some(filter) = &shown.filter {
+            query = query.filter(filter.clone());
+        }
+        let whole = query.clone().with_scans(true).view_parts(&snapshot)?;
+        let there = |name: &String| snapshot.attributes().iter().any(|a| a.attribute.name == *name);
+        let wanted: Vec<String> = shown.paint.attributes().into_iter().filter(there).collect();
+        query = if wanted.is_empty() { query.positions_only() } else { query.attributes(wanted) };
+        let parts = query.with_scans(shown.paint.needs_scans()).view_parts(&snapshot)?;
+        let all_match = all_scans && shown.filter.is_none();
+        Ok(Self { store, parts, whole, paint: shown.paint.clone(), all_match, matching: RwLock::default() })
+    }
+
+    /// As [`Content::is_outdated`].
+    ///
+    /// # Errors
+    ///
+    /// [`StreamError`] if the store can't be read.
+    pub fn is_outdated_now(&self) -> Result<bool, StreamError> {
+        Ok(self.store.changed(self.snapshot())?)
+    }
+
+    /// As [`Content::select`].
+    ///
+    /// # Errors
+    ///
+    /// [`StreamError`] if rows can't be read.
+    pub fn select_now(&self, view: &View) -> Result<Selected, StreamError> {
+        let (mut points, mut blocks, mut exact) = (view.points, view.blocks, true);
+        let matching = self.matching.read().unwrap_or_else(PoisonError::into_inner);
+        let take = |id: &PartId, stored: u32| {
+            let known = if self.all_match { Some(stored) } else { matching.get(id).copied() };
+            exact &= known.is_some();
+            let count = known.unwrap_or(stored);
+            let needed = count.div_ceil(view.block_points);
+            if needed > blocks {
+                return Take::First(0);
+            }
+            blocks -= needed;
+            if u64::from(count) > points || points == 0 {
+                return Take::First(points as u32);
+            }
+            points -= u64::from(count);
+            Take::All(count)
+        };
+        let wanted = self.parts.select(&view.camera, view.error_px, take)?;
+        Ok(Selected { wanted, exact })
+    }
+
+    /// As [`Content::load`].
+    ///
+    /// # Errors
+    ///
+    /// [`StreamError`] if the part can't be read.
+    pub fn load_now(&self, part: &WantedPart) -> Result<Loaded, StreamError> {
+        let found = self.parts.read(part)?;
+        let batch = &found.batch;
+        let mut values = Vec::with_capacity(batch.len());
+        self.paint.paint(batch, self.lattice(), &mut values);
+        // A paint that gives too few values is wrong, but no reason to lose points.
+        values.resize(batch.len(), 0);
+        let order = found.even_order();
+        let pack = |&i: &u32| PackedPoint::pack(part.cube, batch.positions.point(i as usize), values[i as usize]);
+        let points: Vec<PackedPoint> = order.iter().map(pack).collect();
+        if !self.all_match {
+            let mut matching = self.matching.write().unwrap_or_else(PoisonError::into_inner);
+            matching.insert(part.id, points.len() as u32);
+        }
+        Ok(Loaded { points, bytes_read: found.bytes_read })
+    }
+
+    /// As [`Content::point`].
+    ///
+    /// # Errors
+    ///
+    /// [`StreamError::NoPoint`] if there are fewer points; else as [`StoreContent::load_now`].
+    pub fn point_now(&self, part: &WantedPart, index: u32) -> Result<Batch, StreamError> {
+        let found = self.whole.read(part)?;
+        let place = found.even_order().get(index as usize).copied().ok_or(StreamError::NoPoint)?;
+        Ok(found.batch.gathered(&[place]))
+    }
+}
+
+impl Content for StoreContent {
+    fn lattice(&self) -> &Lattice {
+        &self.snapshot().site().lattice
+    }
+
+    fn paint(&self) -> u64 {
+        self.paint.tag()
+    }
+
+    fn snapshot(&self) -> &Snapshot {
+        self.parts.snapshot()
+    }
+
+    fn is_outdated(self: Arc<Self>) -> Pending<Result<bool, StreamError>> {
+        spawn(move || self.is_outdated_now())
+    }
+
+    fn select(self: Arc<Self>, view: View) -> Pending<Result<Selected, StreamError>> {
+        spawn(move || self.select_now(&view))
+    }
+
+    fn load(self: Arc<Self>, part: WantedPart) -> Pending<Result<Loaded, StreamError>> {
+        spawn(move || self.load_now(&part))
+    }
+
+    fn point(self: Arc<Self>, part: WantedPart, index: u32) -> Pending<Result<Batch, StreamError>> {
+        spawn(move || self.point_now(&part, index))
+    }
+}

@@ -14,6 +14,8 @@ pub mod render;
 pub mod store;
 #[cfg(feature = "stream")]
 pub mod stream;
+#[cfg(feature = "viewer")]
+pub mod viewer;
 
 #[cfg(feature = "cli")]
 pub mod cli;

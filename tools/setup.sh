@@ -13,6 +13,16 @@ if ! ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1'; then
     missing="$missing libvulkan1"
 fi
 
+# The window's libraries, which are looked for when it opens, and a display for its test.
+for library in libxkbcommon.so.0:libxkbcommon0 libxkbcommon-x11.so.0:libxkbcommon-x11-0 libX11.so.6:libx11-6 \
+    libX11-xcb.so.1:libx11-xcb1 libXcursor.so.1:libxcursor1 libXi.so.6:libxi6 libXrandr.so.2:libxrandr2 \
+    libwayland-client.so.0:libwayland-client0; do
+    if ! ldconfig -p 2>/dev/null | grep -q "${library%%:*}"; then
+        missing="$missing ${library##*:}"
+    fi
+done
+command -v Xvfb >/dev/null 2>&1 || missing="$missing xvfb"
+
 if [ -n "$missing" ]; then
     if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then
         echo "setup: installing$missing" >&2
@@ -25,6 +35,6 @@ if [ -n "$missing" ]; then
 fi
 
 if ! command -v cargo >/dev/null 2>&1; then
-    echo "setup: cargo is missing: install Rust 1.91 or later from https://rustup.rs" >&2
+    echo "setup: cargo is missing: install Rust 1.95 or later from https://rustup.rs" >&2
     exit 1
 fi

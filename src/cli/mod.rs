@@ -20,6 +20,8 @@ mod scan_frame;
 mod scans;
 mod values;
 mod verify;
+#[cfg(feature = "viewer")]
+mod view;
 mod visibility;
 
 use clap::{Parser, Subcommand};
@@ -46,7 +48,7 @@ enum Outcome {
     about = "Keeps point clouds of any size in one file and gives back the points that a question needs",
     after_help = "Examples:\n  esker ingest site.esker scans/*.laz\n  esker info site.esker\n  \
                   esker query site.esker --box 500000,5000000,500050,5000050 -o corner.laz\n  \
-                  esker render site.esker -o site.png\n\n`esker COMMAND --help` has more."
+                  esker render site.esker -o site.png\n  esker view site.esker\n\n`esker COMMAND --help` has more."
 )]
 struct Arguments {
     #[command(subcommand)]
@@ -67,6 +69,8 @@ enum Command {
     Query(query::Arguments),
     #[cfg(feature = "render")]
     Render(render::Arguments),
+    #[cfg(feature = "viewer")]
+    View(view::Arguments),
     Verify(verify::Arguments),
     Digest(digest::Arguments),
     Generate(generate::Arguments),
@@ -90,6 +94,8 @@ pub fn main() -> ExitCode {
         Command::Query(a) => query::run(&a),
         #[cfg(feature = "render")]
         Command::Render(a) => render::run(&a),
+        #[cfg(feature = "viewer")]
+        Command::View(a) => view::run(&a),
         Command::Verify(a) => verify::run(&a),
         Command::Digest(a) => digest::run(&a),
         Command::Generate(a) => generate::run(a),

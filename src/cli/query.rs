@@ -389,7 +389,7 @@ fn write(
 }
 
 /// Brings colours of 8 bits to 16, where both meet.
-fn deepen(batch: &mut Batch, planned: &Planned) {
+pub(super) fn deepen(batch: &mut Batch, planned: &Planned) {
     if planned.brighten.is_empty() {
         return;
     }

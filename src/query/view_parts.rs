@@ -31,6 +31,29 @@ pub struct PartId {
     matching: u64,
 }
 
+impl PartId {
+    /// Do all stored points of the part match?
+    pub fn is_whole(&self) -> bool {
+        self.matching == 0
+    }
+}
+
+#[cfg(test)]
+impl PartId {
+    /// An id like no other of another number.
+    pub(crate) fn for_test(number: u32) -> Self {
+        Self { chunks: i64::from(number), part: 0, matching: 0 }
+    }
+}
+
+#[cfg(test)]
+impl WantedPart {
+    /// A part that can't be read.
+    pub(crate) fn for_test(id: PartId, node: u32, cube: Cube, points: u32, after: Option<u32>, spacing: f64) -> Self {
+        Self { id, at: 0, node, cube, part: 0, points, stored: points, after, spacing }
+    }
+}
+
 /// A node of which a camera wants something.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WantedNode {

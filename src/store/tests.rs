@@ -362,5 +362,8 @@ fn bookmarks_come_back() {
     writer.put_bookmark("north", "{\"eye\":[1,2,3]}").unwrap();
     let found = store.snapshot().unwrap().bookmarks().unwrap();
     assert_eq!(found, [("north".to_owned(), "{\"eye\":[1,2,3]}".to_owned())]);
+    writer.remove_bookmark("south").unwrap();
+    writer.remove_bookmark("north").unwrap();
+    assert_eq!(store.snapshot().unwrap().bookmarks().unwrap(), []);
     assert!(!beside(Path::new("a"), "-lock").exists());
 }

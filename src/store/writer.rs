@@ -296,6 +296,15 @@ impl Writer {
         self.run(|c| rows::put_bookmark(c, name, camera_json))
     }
 
+    /// Lets go of a camera; nothing happens if there is none of that name.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::put_bookmark`].
+    pub fn remove_bookmark(&mut self, name: &str) -> Result<(), StoreError> {
+        self.run(|c| rows::remove_bookmark(c, name))
+    }
+
     /// Writes the file anew without the free space inside it. Takes as much room again while it runs.
     ///
     /// # Errors

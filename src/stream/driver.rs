@@ -71,6 +71,13 @@ pub(super) struct Driver {
     checking: bool,
     next_check: Instant,
     selecting: bool,
+    /// Is that selection for what lies ahead?
+    foreseeing: bool,
+    /// Has anything been read since the last selection began?
+    learned: bool,
+    /// Is the list that was handed out last all that was wanted?
+    front_complete: bool,
+    missing_points: u64,
     /// The newest camera is not answered yet; since when.
     unanswered: Option<Instant>,
     want: Option<Want>,
@@ -117,6 +124,10 @@ impl Driver {
             checking: false,
             next_check: now,
             selecting: false,
+            foreseeing: false,
+            learned: false,
+            front_complete: false,
+            missing_points: 0,
             unanswered: None,
             want: None,
             ahead: Vec::new(),
@@ -166,6 +177,7 @@ impl Driver {
         self.select();
         self.load();
         self.publish();
+        self.report();
     }
 
     /// When to look again if nothing comes.
@@ -173,7 +185,7 @@ impl Driver {
         let now = Instant::now();
         let mut next = if self.checking || self.opening { now + CHECK_INTERVAL } else { self.next_check };
         if self.dirty {
-            next = next.min((self.published + SWAP_INTERVAL).max(now + Duration::from_millis(1)));
+            next = next.min((self.published + SWAP_INTERVAL).max(now + ROOM_INTERVAL));
         }
         if !self.waiting.is_empty() {
             next = next.min(now + ROOM_INTERVAL);
@@ -257,15 +269,15 @@ impl Driver {
         let (content, number) = (content.clone(), *number);
         let now = Instant::now();
         if let Some(since) = self.unanswered.take() {
-            self.selecting = true;
-            self.looked_ahead = false;
+            (self.selecting, self.foreseeing) = (true, false);
+            (self.looked_ahead, self.learned) = (false, false);
             let work = content.select(self.view(camera));
             let camera = Box::new(camera.clone());
             self.begin(work, move |result| Done::Selected(number, camera, since, false, result));
         } else if self.request.limits.prefetch && !self.looked_ahead && self.is_idle() {
             self.looked_ahead = true;
             let Some(ahead) = self.motion.ahead(camera, now, PREFETCH_AHEAD) else { return };
-            self.selecting = true;
+            (self.selecting, self.foreseeing) = (true, true);
             let work = content.select(self.view(&ahead));
             self.begin(work, move |result| Done::Selected(number, Box::new(ahead), now, true, result));
         }
@@ -355,7 +367,10 @@ impl Driver {
                 let number = self.content.as_ref().map_or(0, |(_, n)| *n) + 1;
                 self.content = Some((content, number));
                 self.failed.drain().for_each(|key| self.residency.forget(&key));
+                // Places of nodes are those of a generation: what was wanted of the old one can't be read from the new one.
+                (self.want, self.dirty) = (None, false);
                 self.ahead.clear();
+                self.waiting.clear();
                 self.settling = Some(Instant::now());
                 self.unanswered.get_or_insert_with(Instant::now);
                 lock(&self.shared.status).error_message = None;
@@ -412,6 +427,7 @@ impl Driver {
                 Loaded::default()
             }
         };
+        self.learned = true;
         lock(&self.shared.status).read_bytes += loaded.bytes_read;
         let wanted = self.want.as_ref().is_some_and(|w| w.keys.contains(&key));
         // What was loaded in advance may come when it is not needed yet; what a newer camera does not want is dropped.
@@ -451,12 +467,13 @@ impl Driver {
                 begun && now.duration_since(since) >= SETTLE_TIME
             });
             if !settled || now.duration_since(self.published) < SWAP_INTERVAL {
-                return self.report(missing_points, None);
+                self.missing_points = missing_points;
+                return;
             }
         }
         let complete = list.complete;
         let (nodes, points, since) = (list.nodes.len() as u64, list.points, want.since);
-        let unknown = !want.exact && complete;
+        let unknown = !want.exact && complete && self.learned;
         self.dirty = false;
         self.settling = None;
         self.published = now;
@@ -478,31 +495,40 @@ impl Driver {
             // Now that all are loaded it is known how many points of each part match, so there may be room for more.
             self.unanswered.get_or_insert(since);
         }
-        {
-            let mut status = lock(&self.shared.status);
-            (status.points, status.nodes) = (points, nodes);
-            status.generation = content.snapshot().generation();
+        let (error, error_px) = (want.wanted.error_bound, want.wanted.error_bound_px);
+        (self.missing_points, self.front_complete) = (missing_points, complete);
+        let mut status = lock(&self.shared.status);
+        (status.points, status.nodes) = (points, nodes);
+        status.generation = content.snapshot().generation();
+        if complete {
+            (status.error, status.error_px) = (error, error_px);
+            status.complete_time = now.duration_since(since);
         }
-        self.report(missing_points, complete.then(|| now.duration_since(since)));
+        drop(status);
+        if !same {
+            (self.shared.changed)();
+        }
     }
 
     /// Tells how far it is.
-    fn report(&mut self, missing_points: u64, completed_in: Option<Duration>) {
+    fn report(&self) {
         let block_bytes = u64::from(self.residency.block_points()) * 16;
-        {
-            let mut status = lock(&self.shared.status);
-            status.missing_points = missing_points;
-            status.loading = self.loading.len() as u64;
-            status.uploaded_bytes = self.residency.uploaded_bytes;
-            status.pool_used_bytes = u64::from(self.residency.used_blocks()) * block_bytes;
-            status.pool_bytes = self.residency.budget_bytes();
-            if let (Some(want), Some(time)) = (&self.want, completed_in) {
-                (status.error, status.error_px) = (want.wanted.error_bound, want.wanted.error_bound_px);
-                status.complete_time = time;
-            }
-            status.complete = completed_in.is_some() && self.unanswered.is_none() && !self.selecting;
+        let answered = self.unanswered.is_none() && (!self.selecting || self.foreseeing) && !self.dirty;
+        let newest = !self.opening && !self.outdated && self.opened.as_ref() == Some(&self.request.shown);
+        let mut status = lock(&self.shared.status);
+        let before = status.clone();
+        status.missing_points = self.missing_points;
+        status.loading = self.loading.len() as u64;
+        status.uploaded_bytes = self.residency.uploaded_bytes;
+        status.pool_used_bytes = u64::from(self.residency.used_blocks()) * block_bytes;
+        status.pool_bytes = self.residency.budget_bytes();
+        // Not while a newer request is on its way here.
+        status.complete = answered && newest && self.front_complete && !self.shared.asked.load(Ordering::Acquire);
+        let changed = *status != before;
+        drop(status);
+        if changed {
+            (self.shared.changed)();
         }
-        (self.shared.changed)();
     }
 
     fn tell(&self, error: &dyn std::error::Error) {

@@ -249,7 +249,9 @@ impl Stream {
 
     /// How far it is.
     pub fn status(&self) -> Status {
-        lock(&self.shared.status).clone()
+        let mut status = lock(&self.shared.status).clone();
+        status.complete &= !self.shared.asked.load(Ordering::Acquire);
+        status
     }
 
     /// Looks up a stored point with all its attributes: the `index`-th of a part that the front shows, in the order in

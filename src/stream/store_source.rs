@@ -15,12 +15,23 @@ use tokio::sync::oneshot;
 #[derive(Clone, Debug)]
 pub struct StoreSource {
     store: Store,
+    /// How many points of a part match, as far as parts were read: an id stands for the same points in every generation.
+    matching: Arc<RwLock<HashMap<PartId, u32>>>,
 }
 
 impl StoreSource {
     /// Of this store.
     pub fn new(store: Store) -> Self {
-        Self { store }
+        Self { store, matching: Arc::default() }
+    }
+
+    /// As [`Source::open`], on the calling thread.
+    ///
+    /// # Errors
+    ///
+    /// [`StreamError`] if the store can't be read, or has no attribute that the filter names.
+    pub fn open_now(&self, shown: &Shown) -> Result<StoreContent, StreamError> {
+        StoreContent::open(self, shown)
     }
 }
 
@@ -42,8 +53,8 @@ fn spawn<T: Send + 'static>(
 
 impl Source for StoreSource {
     fn open(&self, shown: Shown) -> Pending<Result<Arc<dyn Content>, StreamError>> {
-        let store = self.store.clone();
-        spawn(move || Ok(Arc::new(StoreContent::open(store, &shown)?) as Arc<dyn Content>))
+        let source = self.clone();
+        spawn(move || Ok(Arc::new(source.open_now(&shown)?) as Arc<dyn Content>))
     }
 }
 
@@ -54,23 +65,15 @@ pub struct StoreContent {
     /// The same with all attributes.
     whole: ViewParts,
     paint: Arc<dyn Paint>,
-    /// Does every stored point match?
-    all_match: bool,
-    /// How many points of a part match, as far as parts were read.
-    matching: RwLock<HashMap<PartId, u32>>,
+    matching: Arc<RwLock<HashMap<PartId, u32>>>,
 }
 
 impl StoreContent {
-    /// The newest snapshot.
-    ///
-    /// # Errors
-    ///
-    /// [`StreamError`] if the store can't be read, or has no attribute that the filter names.
-    pub fn open(store: Store, shown: &Shown) -> Result<Self, StreamError> {
+    fn open(source: &StoreSource, shown: &Shown) -> Result<Self, StreamError> {
+        let (store, matching) = (source.store.clone(), source.matching.clone());
         let snapshot = store.snapshot()?;
         let mut query = Query::new();
         let names = shown.scans.names(&snapshot);
-        let all_scans = names.is_none() && snapshot.scans().iter().all(|s| s.visible);
         if let Some(names) = names {
             query = query.scans(names);
         }
@@ -82,8 +85,7 @@ impl StoreContent {
         let wanted: Vec<String> = shown.paint.attributes().into_iter().filter(there).collect();
         query = if wanted.is_empty() { query.positions_only() } else { query.attributes(wanted) };
         let parts = query.with_scans(shown.paint.needs_scans()).view_parts(&snapshot)?;
-        let all_match = all_scans && shown.filter.is_none();
-        Ok(Self { store, parts, whole, paint: shown.paint.clone(), all_match, matching: RwLock::default() })
+        Ok(Self { store, parts, whole, paint: shown.paint.clone(), matching })
     }
 
     /// As [`Content::is_outdated`].
@@ -104,15 +106,16 @@ impl StoreContent {
         let (mut points, mut blocks, mut exact) = (view.points, view.blocks, true);
         let matching = self.matching.read().unwrap_or_else(PoisonError::into_inner);
         let take = |id: &PartId, stored: u32| {
-            let known = if self.all_match { Some(stored) } else { matching.get(id).copied() };
-            exact &= known.is_some();
+            let known = if id.is_whole() { Some(stored) } else { matching.get(id).copied() };
             let count = known.unwrap_or(stored);
             let needed = count.div_ceil(view.block_points);
-            if needed > blocks {
+            if points == 0 || needed > blocks {
                 return Take::First(0);
             }
+            // What is not taken is not loaded, so it never becomes known.
+            exact &= known.is_some();
             blocks -= needed;
-            if u64::from(count) > points || points == 0 {
+            if u64::from(count) > points {
                 return Take::First(points as u32);
             }
             points -= u64::from(count);
@@ -137,7 +140,7 @@ impl StoreContent {
         let order = found.even_order();
         let pack = |&i: &u32| PackedPoint::pack(part.cube, batch.positions.point(i as usize), values[i as usize]);
         let points: Vec<PackedPoint> = order.iter().map(pack).collect();
-        if !self.all_match {
+        if !part.id.is_whole() {
             let mut matching = self.matching.write().unwrap_or_else(PoisonError::into_inner);
             matching.insert(part.id, points.len() as u32);
         }

@@ -27,3 +27,8 @@ pub(in crate::store) fn put_bookmark(connection: &Connection, name: &str, camera
         &[Sql::Text(name), Sql::Text(camera)],
     )
 }
+
+pub(in crate::store) fn remove_bookmark(connection: &Connection, name: &str) -> Result<(), RowError> {
+    connection.execute("DELETE FROM bookmark WHERE name = ?", [name])?;
+    Ok(())
+}

@@ -1,0 +1,82 @@
+//! `esker view`: the window.
+
+use super::output_plan::plan;
+use super::{Outcome, query};
+use crate::formats::{CreateOptions, OutputFormat, create};
+use crate::geometry::WorldBox;
+use crate::query::{Query, Region};
+use crate::store::{Snapshot, Store};
+use crate::viewer::remembered::Remembered;
+use crate::viewer::{Options, parse_script};
+use anyhow::Context;
+use clap::Args;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Opens a window on a store: fly, walk, measure, colour, export.
+///
+/// Opens at once and refines, within a budget of points. Shows new scans as an ingest commits them. F1 in the window
+/// lists all keys.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  esker view site.esker\n\n\
+                  In the window: left drag turns, right drag moves, the wheel zooms, a double click goes there; W A S D \
+                  fly, G walks, F shows everything, F1 shows all keys.")]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// Does what a script says in place of hands (docs/viewer.md).
+    #[arg(long, value_name = "FILE", hide = true)]
+    script: Option<PathBuf>,
+    /// Neither reads nor writes the settings that are remembered.
+    #[arg(long)]
+    forget: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let store = Store::open(&arguments.store)?;
+    let lattice = store.snapshot()?.site().lattice.clone();
+    let script = match &arguments.script {
+        None => Vec::new(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| format!("{}: can't be read", path.display()))?;
+            parse_script(&text).map_err(|e| anyhow::anyhow!("{}: {e}", path.display()))?
+        }
+    };
+    let name = arguments.store.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let remember = if arguments.forget { None } else { Remembered::place() };
+    let exporter = Arc::new(|snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path| {
+        export(snapshot, bounds, scans, path).map_err(|e| super::output::one_line(&e))
+    });
+    crate::viewer::run(Options { store, lattice, name, exporter, remember, script })?;
+    Ok(Outcome::Done)
+}
+
+/// The points of a box, of these scans, with all their attributes.
+fn export(snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path) -> anyhow::Result<u64> {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    let format = OutputFormat::of_extension(ending)
+        .with_context(|| format!("{}: give a name ending in .laz, .las, .ply or .csv", path.display()))?;
+    let region = Region::new_box(bounds.min().to_array(), bounds.max().to_array())?;
+    let query = Query::new().region(region).scans(scans.iter().cloned());
+    let planned = plan(snapshot, &query.output_form(snapshot)?, true, None)?;
+    let options = CreateOptions { standard_gps_time: planned.standard_gps_time, ..CreateOptions::default() };
+    let mut writer = create(path, format, &planned.plan, &options)?;
+    let query = query.with_scans(!planned.brighten.is_empty());
+    let mut failure = None;
+    let answer = query.run(snapshot, |mut batch| {
+        query::deepen(&mut batch, &planned);
+        match writer.write(&batch) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                failure = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    })?;
+    if let Some(error) = failure {
+        return Err(error.into());
+    }
+    writer.finish()?;
+    Ok(answer.points)
+}

@@ -1,0 +1,54 @@
+//! The window: `esker view STORE`.
+//!
+//! What is shown and what keys and mouse do is state without a window ([`Model`], [`Navigator`](navigate::Navigator),
+//! [`Rig`](rig::Rig)), tested as such; [`panels`] show and change it; `window.rs` brings events in and pictures out. The
+//! [`Stream`](crate::stream::Stream) decides what lies on the adapter, [`Renderer`](crate::render::Renderer) draws it,
+//! and `work.rs` does what takes time. The frame's thread waits for none of them.
+
+pub mod bindings;
+mod found;
+mod gpu;
+pub mod measure;
+mod model;
+pub mod navigate;
+pub mod panels;
+pub mod remembered;
+pub mod rig;
+mod script;
+mod site;
+mod window;
+mod work;
+
+pub use model::{Action, Clip, Found, FrameTimes, Model, Section};
+pub use script::{Step, parse as parse_script};
+pub use site::{ScanFacts, Site};
+pub use window::{Options, run};
+pub use work::Exporter;
+
+use thiserror::Error;
+
+/// Why there is no window, or no longer.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ViewerError {
+    /// There is no display, or it refuses a window.
+    #[error("there can be no window: {0}; is there a display? `esker render` needs none")]
+    Window(String),
+    /// No adapter can draw into the window.
+    #[error("{0}")]
+    Graphics(String),
+    /// The renderer can't be made.
+    #[error(transparent)]
+    Render(#[from] crate::render::RenderError),
+    /// A thread can't be started.
+    #[error("no thread can be started")]
+    Thread(#[from] std::io::Error),
+    /// A script waited in vain, or names what is not there.
+    #[error("the script's step {step}: {what}")]
+    Script {
+        /// Which, from 1.
+        step: usize,
+        /// What is wrong.
+        what: String,
+    },
+}

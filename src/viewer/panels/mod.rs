@@ -1,0 +1,234 @@
+//! The panels: each section shows a piece of the [`Model`] and changes it.
+
+mod clip;
+mod color;
+mod help;
+mod overlay;
+mod places;
+mod point;
+mod quality;
+mod scans;
+mod statistics;
+
+use super::bindings::Command;
+use super::model::{Model, Section};
+use super::rig::Mode;
+use egui::{Align2, Color32, RichText, Ui};
+
+/// All of the window's widgets for one frame; `aspect` is that of the picture, `ui` covers it.
+pub fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
+    model.widgets.clear();
+    top(ui, model, aspect);
+    bottom(ui, model);
+    if model.set.panels {
+        let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238));
+        egui::Panel::right("panels").frame(frame).default_size(290.0).size_range(220.0..=520.0).show(ui, |ui| {
+            egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
+                for section in Section::ALL {
+                    show_section(ui, model, section, aspect);
+                }
+            });
+        });
+    }
+    overlay::show(ui, model, aspect);
+    if model.help {
+        help::show(ui.ctx(), model, aspect);
+    }
+}
+
+/// Remembers where a widget is, so that a script can click it.
+fn mark(model: &mut Model, name: impl Into<String>, response: &egui::Response) {
+    let center = response.rect.center();
+    model.widgets.insert(name.into(), [center.x, center.y]);
+}
+
+fn show_section(ui: &mut Ui, model: &mut Model, section: Section, aspect: f64) {
+    let open = model.open.contains(&section);
+    let header = egui::CollapsingHeader::new(RichText::new(section.title()).strong())
+        .id_salt(section.word())
+        .open(Some(open))
+        .show(ui, |ui| match section {
+            Section::Scans => scans::show(ui, model),
+            Section::Color => color::show(ui, model),
+            Section::Quality => quality::show(ui, model),
+            Section::Clip => clip::show(ui, model),
+            Section::Measure => point::measure(ui, model),
+            Section::Places => places::show(ui, model, aspect),
+            Section::Point => point::show(ui, model),
+            Section::Statistics => statistics::show(ui, model),
+        });
+    mark(model, section.word(), &header.header_response);
+    if header.header_response.clicked() {
+        if open {
+            model.open.remove(&section);
+        } else {
+            model.open.insert(section);
+        }
+    }
+}
+
+/// Buttons for what one does all the time.
+fn top(ui: &mut Ui, model: &mut Model, aspect: f64) {
+    let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238));
+    egui::Panel::top("top").frame(frame).show(ui, |ui| {
+        ui.horizontal(|ui| {
+            let mode = model.nav.rig.mode;
+            for (which, text, hint) in [
+                (Mode::Orbit, "Orbit", "Drag to turn, right drag to move, wheel to zoom (Esc)"),
+                (Mode::Fly, "Fly", "W A S D to move, drag to look, wheel for speed"),
+                (Mode::Walk, "Walk", "As flying, on the ground (G)"),
+            ] {
+                let response = ui.selectable_label(mode == which, text).on_hover_text(hint);
+                mark(model, format!("mode.{}", text.to_lowercase()), &response);
+                if response.clicked() {
+                    model.nav.rig.mode = which;
+                }
+            }
+            ui.separator();
+            for (name, text, hint, command) in [
+                ("fit", "Fit", "See everything (F)", Command::Fit),
+                ("top", "Top", "From above (1)", Command::Top),
+                ("front", "Front", "From the south (2)", Command::Front),
+                ("side", "Side", "From the east (3)", Command::Side),
+            ] {
+                let response = ui.button(text).on_hover_text(hint);
+                mark(model, name, &response);
+                if response.clicked() {
+                    model.command(command, aspect);
+                }
+            }
+            let parallel = model.nav.rig.is_orthographic();
+            if ui.selectable_label(parallel, "Parallel").on_hover_text("Without perspective (O)").clicked() {
+                model.command(Command::Orthographic, aspect);
+            }
+            ui.separator();
+            let response = ui.selectable_label(model.measuring, "Measure").on_hover_text("Click points (M)");
+            mark(model, "measuring", &response);
+            if response.clicked() {
+                model.command(Command::Measure, aspect);
+            }
+            let response = ui.button("Picture").on_hover_text("To a file (P)");
+            mark(model, "picture", &response);
+            if response.clicked() {
+                model.command(Command::Screenshot, aspect);
+            }
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                let response = ui.selectable_label(model.set.panels, "Panels").on_hover_text("Tab");
+                mark(model, "panels", &response);
+                if response.clicked() {
+                    model.command(Command::Panels, aspect);
+                }
+                let response = ui.selectable_label(model.help, "Help").on_hover_text("All keys (F1)");
+                mark(model, "help", &response);
+                if response.clicked() {
+                    model.command(Command::Help, aspect);
+                }
+            });
+        });
+    });
+}
+
+/// One line of what is going on.
+fn bottom(ui: &mut Ui, model: &mut Model) {
+    let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238));
+    egui::Panel::bottom("bottom").frame(frame).show(ui, |ui| {
+        ui.horizontal(|ui| {
+            let status = &model.status;
+            ui.label(format!("{} points", grouped(status.points)));
+            if status.missing_points > 0 {
+                ui.spinner();
+                ui.label(format!("{} more to come", grouped(status.missing_points)));
+            } else if let Some(px) = status.error_px {
+                ui.label(format!("within {px:.1} pixels"))
+                    .on_hover_text("Every point of the site that lies in view has a drawn one so near");
+            }
+            if let Some(error) = &status.error_message {
+                ui.colored_label(Color32::from_rgb(255, 150, 120), error);
+            }
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                let fps = 1.0 / model.times.interval.as_secs_f64().max(1e-3);
+                ui.label(format!("{fps:.0} frames/s"));
+                if let Some(found) = &model.hover {
+                    let [x, y, z] = found.world.to_array();
+                    ui.label(RichText::new(format!("{x:.3}  {y:.3}  {z:.3}")).monospace());
+                }
+            });
+        });
+    });
+    if let Some(words) = model.message() {
+        egui::Area::new(egui::Id::unique("message")).anchor(Align2::CENTER_TOP, [0.0, 44.0]).show(ui.ctx(), |ui| {
+            egui::Frame::popup(ui.style()).show(ui, |ui| ui.label(words));
+        });
+    }
+}
+
+/// `1 234 567`, with thin gaps.
+fn grouped(n: u64) -> String {
+    let digits = n.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push('\u{2009}');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// `12.3 MB`.
+fn bytes(n: u64) -> String {
+    match n {
+        0..10_000 => format!("{n} B"),
+        10_000..10_000_000 => format!("{:.0} kB", n as f64 / 1e3),
+        _ => format!("{:.1} MB", n as f64 / 1e6),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::viewer::remembered::Remembered;
+
+    #[test]
+    fn numbers_are_grouped() {
+        assert_eq!(grouped(1_234_567).replace('\u{2009}', " "), "1 234 567");
+        assert_eq!((grouped(12), bytes(999), bytes(12_345_678)), ("12".into(), "999 B".into(), "12.3 MB".into()));
+    }
+
+    /// Every section is drawn, open and closed, without a store and without a window; a click opens one.
+    #[test]
+    fn the_panels_stand_without_a_store() {
+        let mut model = Model::new("x.esker".into(), Remembered::default());
+        let context = egui::Context::default();
+        let input = |events| egui::RawInput {
+            screen_rect: Some(egui::Rect::from_min_size(egui::Pos2::ZERO, egui::vec2(1200.0, 3000.0))),
+            events,
+            ..egui::RawInput::default()
+        };
+        let frame = |model: &mut Model, events| {
+            let _ = context.run_ui(input(events), |ui| show(ui, model, 1.5));
+        };
+        model.open.clear();
+        frame(&mut model, vec![]);
+        let [x, y] = model.widgets["quality"];
+        let at = egui::pos2(x, y);
+        let button = |pressed| egui::Event::PointerButton {
+            pos: at,
+            button: egui::PointerButton::Primary,
+            pressed,
+            modifiers: egui::Modifiers::NONE,
+        };
+        frame(&mut model, vec![egui::Event::PointerMoved(at)]);
+        frame(&mut model, vec![button(true)]);
+        frame(&mut model, vec![button(false)]);
+        assert!(model.open.contains(&Section::Quality), "a click opens a section");
+        model.open.extend(Section::ALL);
+        model.clips.push(super::super::model::Clip { min: [0.0; 3], max: [1.0; 3], keep: true, on: true });
+        for _ in 0..30 {
+            frame(&mut model, vec![]);
+        }
+        for name in ["budget", "clip.add", "bookmark.save", "help", "measuring"] {
+            assert!(model.widgets.contains_key(name), "{name} is not there");
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! Which scans are seen.
+
+use super::super::model::Model;
+use super::{grouped, mark};
+use egui::Ui;
+
+pub(super) fn show(ui: &mut Ui, model: &mut Model) {
+    let Some(site) = &model.site else {
+        ui.spinner();
+        return;
+    };
+    let scans = site.scans.clone();
+    let total = site.points;
+    ui.horizontal(|ui| {
+        if ui.small_button("All").clicked() {
+            scans.iter().for_each(|s| model.scans.set(s.id, s.visible, true));
+        }
+        if ui.small_button("None").clicked() {
+            scans.iter().for_each(|s| model.scans.set(s.id, s.visible, false));
+        }
+        if ui.small_button("As stored").on_hover_text("As `esker show` and `esker hide` left them").clicked() {
+            model.scans = Default::default();
+        }
+        ui.weak(format!("{} scans, {} points", scans.len(), grouped(total)));
+    });
+    egui::ScrollArea::vertical().id_salt("scans").max_height(260.0).show(ui, |ui| {
+        for scan in &scans {
+            ui.horizontal(|ui| {
+                let mut seen = model.scans.sees(scan.id, scan.visible);
+                let response = ui.checkbox(&mut seen, &scan.name);
+                mark(model, format!("scan.{}", scan.name), &response);
+                if response.changed() {
+                    model.scans.set(scan.id, scan.visible, seen);
+                }
+                response.on_hover_text(format!("{} points", grouped(scan.points)));
+                ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                    if let Some(place) = scan.station
+                        && ui.small_button("stand").on_hover_text("Stand where the scanner stood").clicked()
+                    {
+                        model.stand_at(&scan.name, place);
+                    }
+                    if ui.small_button("only").on_hover_text("This scan alone").clicked() {
+                        scans.iter().for_each(|s| model.scans.set(s.id, s.visible, s.id == scan.id));
+                    }
+                });
+            });
+        }
+    });
+}

@@ -43,6 +43,8 @@ pub struct Statistics {
     pub blocks_cached: u64,
     /// Bytes of the chunks read, those in the cache apart.
     pub bytes_read: u64,
+    /// The least that would have done: of each chunk that was read, the share of its blocks that hold a returned point.
+    pub bytes_needed: u64,
     /// Points whose positions were decoded.
     pub points_decoded: u64,
     /// From start to end.
@@ -68,6 +70,7 @@ pub(crate) struct Meter {
     pub blocks: AtomicU64,
     pub blocks_cached: AtomicU64,
     pub bytes_read: AtomicU64,
+    pub bytes_needed: AtomicU64,
     pub points_decoded: AtomicU64,
     pub on_maximum_faces: AtomicU64,
     selecting_ns: AtomicU64,
@@ -118,6 +121,7 @@ impl Meter {
             blocks: count(&self.blocks),
             blocks_cached: count(&self.blocks_cached),
             bytes_read: count(&self.bytes_read),
+            bytes_needed: count(&self.bytes_needed),
             points_decoded: count(&self.points_decoded),
             seconds: elapsed.as_secs_f64(),
             seconds_selecting: seconds(&self.selecting_ns),

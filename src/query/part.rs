@@ -81,6 +81,12 @@ impl<'a> Part<'a> {
         self.chunks.iter().flat_map(|(_, chunk)| chunk).map(|chunk| chunk.len() as u64).sum()
     }
 
+    /// Counts what would have been enough to read: of the chunks that were, so many blocks.
+    fn count_needed(&self, blocks: usize) {
+        let of = block_count(self.points).max(1) as u64;
+        Meter::add(&self.plan.meter.bytes_needed, self.bytes_read() * blocks as u64 / of);
+    }
+
     fn chunk(&self, slot: Slot) -> Option<&ChunkBytes> {
         self.chunks.iter().find(|(s, _)| *s == slot).and_then(|(_, c)| c.as_ref())
     }
@@ -270,6 +276,7 @@ impl<'a> Part<'a> {
         let plan = self.plan;
         let slots = plan.columns.iter().map(|c| c.id);
         self.read([SLOT_POSITION].into_iter().chain(plan.with_scans.then_some(SLOT_SCAN)).chain(slots))?;
+        self.count_needed(block_count(self.points));
         plan.meter.time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.whole_with(decoder)))
     }
 
@@ -321,6 +328,7 @@ impl<'a> Part<'a> {
         let is_ready = |i: usize| found.iter().zip(&ready).all(|(f, ready)| f.mask.is_none() || ready[i].is_some());
         let missing = plan.columns.iter().enumerate().filter(|(i, _)| !is_ready(*i)).map(|(_, asked)| asked.id);
         self.read(plan.with_scans.then_some(SLOT_SCAN).into_iter().chain(missing))?;
+        self.count_needed(found.iter().filter(|f| !f.mask.is_none()).count());
         plan.meter
             .time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.take_with(decoder, found, ready, count)))
     }

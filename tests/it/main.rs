@@ -4,6 +4,7 @@ mod answers;
 mod bad_input;
 mod canonical;
 mod changes;
+mod engine;
 mod faults;
 mod fidelity;
 mod floors;

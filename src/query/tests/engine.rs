@@ -134,6 +134,7 @@ fn cached_blocks_are_the_ones_that_were_read() {
                 query = query.filter(Filter::parse(filter).unwrap());
             }
             let (expected, cost) = query.collect(&once).unwrap();
+            assert!(cost.statistics.bytes_needed <= cost.statistics.bytes_read, "{cost:?}");
             assert_eq!((cost.statistics.blocks_cached, cost.statistics.chunks_cached), (0, 0));
             for round in 0..2 {
                 let (found, answer) = query.collect(&snapshot).unwrap();

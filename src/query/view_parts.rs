@@ -109,9 +109,16 @@ pub struct Wanted {
     pub nodes_visited: u64,
 }
 
-/// Of the mean distance to the nearest neighbour, in a whole leaf: points that lie anyhow are twice as far apart on the
-/// whole, and their largest gaps as wide again.
-const LEAF_SPACING: f64 = 4.0;
+/// How far apart the points of a whole node are seen, by the side of its cells and their mean distance to the nearest
+/// neighbour.
+///
+/// Where cells are finer than the data the points are further apart than cells, but a few strays must not become
+/// large. A leaf has everything, and may have it far closer than the cells of a large cube that holds few points: points that
+/// lie anyhow are twice as far apart on the whole as the nearest two, and their largest gaps as wide again.
+fn seen_spacing(cell: f64, nearest: f64, leaf: bool) -> f64 {
+    let apart = cell.max((1.5 * nearest).min(4.0 * cell));
+    if leaf && nearest > 0.0 { apart.min(4.0 * nearest) } else { apart }
+}
 
 /// How much of a part to take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -287,9 +294,8 @@ impl<'a> Sequence<'a> {
             reached.map_or(own + 1, |Step { win, group }| i32::from(win) + i32::from(group < 3)).max(own)
         };
         let mut spacing = self.side(cell);
-        if head.leaf && part + 1 == head.parts.len() && head.shape.spacing > 0.0 {
-            // Everything is there, and may lie far closer than the cells of a large cube that has few points.
-            spacing = spacing.min(LEAF_SPACING * head.shape.spacing * self.quantum);
+        if part + 1 == head.parts.len() {
+            spacing = seen_spacing(spacing, head.shape.spacing * self.quantum, head.leaf);
         }
         let last = self.wanted.parts.len() as u32;
         self.last[node as usize] = Some(last);
@@ -350,4 +356,22 @@ fn hash_of(value: &impl Hash) -> u64 {
     let mut hasher = DefaultHasher::new();
     value.hash(&mut hasher);
     hasher.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_seen_as_far_apart_as_they_lie() {
+        // As the cells: a surface that is sampled, a leaf of about a point a cell.
+        assert_eq!([seen_spacing(1.0, 0.6, false), seen_spacing(1.0, 0.4, true)], [1.0, 1.0]);
+        // Cells finer than the data; strays.
+        assert_eq!([seen_spacing(1.0, 2.0, false), seen_spacing(1.0, 2.0, true)], [3.0, 3.0]);
+        assert_eq!([seen_spacing(1.0, 50.0, false), seen_spacing(1.0, 50.0, true)], [4.0, 4.0]);
+        // A large leaf with everything in a corner; an inner node's cells hold nothing finer.
+        assert_eq!([seen_spacing(64.0, 0.5, true), seen_spacing(64.0, 0.5, false)], [2.0, 64.0]);
+        // A single point, or many on one place.
+        assert_eq!([seen_spacing(1.0, 0.0, true), seen_spacing(1.0, 0.0, false)], [1.0, 1.0]);
+    }
 }

@@ -1,8 +1,10 @@
 //! `esker render`: pictures of stores, drawn by whatever adapter there is. Without one this fails: pictures are part of
 //! the product.
 
-use crate::support::esker_ok;
+use crate::support::{esker_fails, esker_ok};
+use std::fmt::Write;
 use std::fs;
+use std::path::Path;
 
 fn pixels(path: &str) -> (u32, u32, Vec<u8>) {
     let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap()));
@@ -51,7 +53,7 @@ fn a_whole_site_fits_its_default_picture() {
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     esker_ok(&["generate", "torus", "--points", "200000", "-o", &path("t.las")]);
     esker_ok(&["ingest", &path("t.esker"), &path("t.las")]);
-    for mode in ["rgb", "height", "intensity", "class", "return", "scan"] {
+    for mode in ["rgb", "height", "intensity", "class", "return", "scan", "level", "time"] {
         let picture = path(&format!("{mode}.png"));
         esker_ok(&["render", &path("t.esker"), "--color", mode, "--size", "320x240", "-o", &picture]);
         let (width, height, bytes) = pixels(&picture);
@@ -63,4 +65,215 @@ fn a_whole_site_fits_its_default_picture() {
         assert!((0..240).filter(|&y| varied(y)).count() > 60, "{mode}: hardly anything was drawn");
         assert!(!varied(0) && !varied(239), "{mode}: the site is cut off");
     }
+}
+
+/// Points on a wavy ground of 40 by 40 units of 1000 steps, in whole steps, as PLY; moved by whole units.
+fn write_ground(path: &Path, moved: [i64; 3]) {
+    let side = 160_i64;
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
+         property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
+        side * side
+    );
+    for i in 0..side * side {
+        let (row, column) = (i / side, i % side);
+        // Somewhere within the cell of 250 steps, the same at every place.
+        let within = |factor: i64| (i * factor + 77) % 199;
+        let wave = (f64::from(row as i32) / 9.0).sin() + (f64::from(column as i32) / 13.0).cos();
+        let steps = [column * 250 + within(7919), row * 250 + within(104_729), (wave * 1500.0) as i64];
+        for (axis, steps) in steps.into_iter().enumerate() {
+            let whole = moved[axis] + steps.div_euclid(1000);
+            write!(text, "{whole}.{:03} ", steps.rem_euclid(1000)).unwrap();
+        }
+        writeln!(text, "{} {} {}", 40 + column, 200 - row, (i % 7) * 30).unwrap();
+    }
+    // Negative numbers are written as the whole below and a part above it: none here.
+    assert!(moved.iter().all(|m| *m >= 10));
+    fs::write(path, text).unwrap();
+}
+
+fn view_at(eye: [f64; 3], target: [f64; 3], moved: [i64; 3]) -> String {
+    let at = |p: [f64; 3]| -> [f64; 3] { std::array::from_fn(|i| p[i] + moved[i] as f64) };
+    format!(r#"{{"eye":{:?},"target":{:?},"fov_y_deg":60,"size":[480,320]}}"#, at(eye), at(target))
+}
+
+/// The part of the pixels that differ.
+fn differing(a: &str, b: &str) -> f64 {
+    let ((width, height, a), (w, h, b)) = (pixels(a), pixels(b));
+    assert_eq!((width, height, a.len()), (w, h, b.len()));
+    let channels = a.len() / (width * height) as usize;
+    let differ = a.chunks_exact(channels).zip(b.chunks_exact(channels)).filter(|(a, b)| a != b).count();
+    differ as f64 / f64::from(width * height)
+}
+
+/// The views of the ground: from afar, and from among its points.
+const VIEWS: [[[f64; 3]; 2]; 2] = [[[20.0, -25.0, 22.0], [20.0, 20.0, 0.0]], [[20.1, 18.3, 2.9], [21.0, 24.0, 1.5]]];
+
+/// At full detail what a picture shows does not depend on where the site is or how fine its lattice is. Splats have a
+/// fixed size here: by default they are as large as the cells of the tree, which lie otherwise elsewhere.
+#[test]
+fn a_site_looks_the_same_at_the_origin_in_utm_at_1e7_and_on_a_finer_lattice() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let sites: [(&str, [i64; 3], &str); 5] = [
+        ("origin", [10, 10, 10], "0.001"),
+        ("utm", [447_010, 5_411_010, 310], "0.001"),
+        ("far", [10_000_010, 10_000_010, 10_000_010], "0.001"),
+        ("fine", [10, 10, 10], "0.0001"),
+        ("fine-utm", [447_010, 5_411_010, 310], "0.0001"),
+    ];
+    for (name, moved, quantum) in sites {
+        write_ground(&folder.path().join("ground.ply"), moved);
+        let store = path(&format!("{name}.esker"));
+        esker_ok(&["ingest", &store, &path("ground.ply"), "--quantum", quantum]);
+        for (i, [eye, target]) in VIEWS.into_iter().enumerate() {
+            fs::write(path("view.json"), view_at(eye, target, moved)).unwrap();
+            let picture = path(&format!("{name}-{i}.png"));
+            let look = ["--max-error-px", "0", "--point-size", "0", "--min-px", "5", "--shape", "paraboloid"];
+            let what = ["render", &store, "--view", &path("view.json"), "-o", &picture];
+            esker_ok(&[what.as_slice(), &look].concat());
+            let differing = differing(&path(&format!("origin-{i}.png")), &picture);
+            assert!(differing <= 0.001, "{name}, view {i}: {differing} of the pixels differ");
+        }
+    }
+}
+
+/// Moved by a multiple of the root's side the tree is the same, so the picture is at any detail, with any splats.
+#[test]
+fn a_site_moved_by_its_root_looks_the_same_at_any_detail() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    // 2^18 * 125 steps of a millimetre are 32,768 units: a multiple of the sides of cubes up to 2^18 steps.
+    for (name, moved) in [("here", [10; 3]), ("there", [32_778, 10 + 3 * 32_768, 32_778])] {
+        write_ground(&folder.path().join("ground.ply"), moved);
+        esker_ok(&["ingest", &path(&format!("{name}.esker")), &path("ground.ply"), "--quantum", "0.001"]);
+        for (i, [eye, target]) in VIEWS.into_iter().enumerate() {
+            fs::write(path("view.json"), view_at(eye, target, moved)).unwrap();
+            for capacity in ["3000", "12345"] {
+                let picture = path(&format!("{name}-{i}-{capacity}.png"));
+                let view = path("view.json");
+                let store = path(&format!("{name}.esker"));
+                esker_ok(&["render", &store, "--view", &view, "--capacity", capacity, "-o", &picture]);
+                let differing = differing(&path(&format!("here-{i}-{capacity}.png")), &picture);
+                assert!(differing <= 0.001, "view {i}, {capacity} points: {differing} of the pixels differ");
+            }
+        }
+    }
+}
+
+/// The columns of a statistics file, by name.
+fn table(path: &str) -> impl Fn(&str, usize) -> f64 + use<> {
+    let text = fs::read_to_string(path).unwrap();
+    let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+    let head = lines.next().unwrap();
+    let rows: Vec<_> = lines.collect();
+    move |name, row| rows[row][head.iter().position(|h| h == name).unwrap()].parse().unwrap()
+}
+
+/// Every frame of a walk is the picture that its camera alone gives, whatever was loaded before; nothing is loaded twice,
+/// and the capacity is never passed.
+#[test]
+fn frames_of_a_walk_are_the_pictures_of_their_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    esker_ok(&["generate", "terrain", "--points", "400000", "-o", &path("t.las")]);
+    esker_ok(&["ingest", &path("t.esker"), &path("t.las")]);
+    let info = esker_ok(&["info", &path("t.esker"), "--json"]);
+    let info: serde_json::Value = serde_json::from_str(&info).unwrap();
+    let bound = |end: &str, i: usize| info["bounds"][end][i].as_f64().unwrap();
+    let at = |x: f64, y: f64, z: f64| {
+        [x, y, z]
+            .iter()
+            .enumerate()
+            .map(|(i, t)| bound("min", i) + t * (bound("max", i) - bound("min", i)))
+            .collect::<Vec<_>>()
+    };
+    let view = |eye: Vec<f64>, target: Vec<f64>| format!(r#"{{"eye":{eye:?},"target":{target:?},"size":[320,200]}}"#);
+    let views = [
+        view(at(0.5, -0.5, 9.0), at(0.5, 0.5, 0.0)),
+        view(at(0.3, 0.2, 2.0), at(0.5, 0.6, 0.5)),
+        view(at(0.3, 0.2, 2.0), at(0.5, 0.6, 0.5)),
+        view(at(0.9, 0.9, 1.5), at(0.1, 0.1, 0.5)),
+        view(at(0.5, -0.5, 9.0), at(0.5, 0.5, 0.0)),
+    ];
+    fs::write(path("walk.json"), format!("[{}]", views.join(","))).unwrap();
+    for (i, view) in views.iter().enumerate() {
+        fs::write(path(&format!("{i}.json")), view).unwrap();
+    }
+    let looks: [&[&str]; 3] = [
+        &["--capacity", "60001"],
+        &["--capacity", "9000", "--color", "height", "--shape", "paraboloid"],
+        &["--capacity", "25000", "--where", "Classification = 2", "--color", "class"],
+    ];
+    for (look, options) in looks.into_iter().enumerate() {
+        let (walk, stats) = (path(&format!("walk{look}.png")), path(&format!("{look}.csv")));
+        let what = ["render", &path("t.esker"), "--path", &path("walk.json"), "--stats", &stats, "-o", &walk];
+        esker_ok(&[what.as_slice(), options].concat());
+        let of = table(&stats);
+        for i in 0..views.len() {
+            let single = path(&format!("{look}-{i}.png"));
+            let what = ["render", &path("t.esker"), "--view", &path(&format!("{i}.json")), "-o", &single];
+            esker_ok(&[what.as_slice(), options].concat());
+            let frame = path(&format!("walk{look}-{i:04}.png"));
+            assert!(fs::read(&frame).unwrap() == fs::read(&single).unwrap(), "{frame} is not {single}");
+            let capacity: f64 = options[1].parse().unwrap();
+            assert!(of("points", i) <= capacity && of("points", i) > 0.5 * capacity.min(9000.0), "{}", of("points", i));
+        }
+        assert!(of("bytes_uploaded", 0) >= 16.0 * of("points", 0) && of("bytes_read", 0) > 0.0);
+        assert_eq!([of("parts_loaded", 2), of("bytes_uploaded", 2)], [0.0; 2], "the camera stood still");
+    }
+    // Without --force nothing is written over, not even half of a walk.
+    fs::remove_file(path("walk0-0000.png")).unwrap();
+    let again = ["render", &path("t.esker"), "--path", &path("walk.json"), "-o", &path("walk0.png")];
+    esker_fails(&again, 1, &["walk0-0001.png", "--force"]);
+    assert!(!Path::new(&path("walk0-0000.png")).exists());
+}
+
+/// Options of the look reach the picture.
+#[test]
+fn every_option_of_the_look_changes_the_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    write_ground(&folder.path().join("g.ply"), [10; 3]);
+    esker_ok(&["ingest", &path("g.esker"), &path("g.ply")]);
+    let draw = |name: &str, options: &[&str]| {
+        let picture = path(&format!("{name}.png"));
+        let what = ["render", &path("g.esker"), "--size", "240x160", "-o", &picture];
+        esker_ok(&[what.as_slice(), options].concat());
+        picture
+    };
+    let plain = draw("plain", &[]);
+    let looks: [&[&str]; 13] = [
+        &["--shape", "square", "--point-size", "2"],
+        &["--shape", "paraboloid", "--point-size", "2"],
+        &["--point-size", "2"],
+        &["--min-px", "6"],
+        &["--unlit"],
+        &["--edl", "4"],
+        &["--shadows", "2", "--point-size", "2"],
+        &["--fog", "10,20,ffffff"],
+        &["--background", "ffffff"],
+        &["--clip", "20,20,-inf,40,40,inf"],
+        &["--cut", "20,20,-inf,40,40,inf"],
+        &["--node-boxes"],
+        &["--color", "height", "--range", "9,10"],
+    ];
+    let mut pictures = vec![plain];
+    for (i, look) in looks.into_iter().enumerate() {
+        let picture = draw(&i.to_string(), look);
+        for other in &pictures {
+            assert!(differing(other, &picture) > 0.002, "{look:?} looks as {other}");
+        }
+        pictures.push(picture);
+    }
+    // What one box keeps, the other cuts out: together they are the whole.
+    let points = |options: &[&str]| {
+        let stats = path("points.csv");
+        draw("counted", &[options, &["--stats", &stats, "--force"]].concat());
+        table(&stats)("points", 0)
+    };
+    assert!(points(&["--clip", "20,20,-inf,40,40,inf"]) < 0.5 * points(&[]));
+    let (_, _, clear) = pixels(&draw("clear", &["--background", "none"]));
+    assert_eq!(clear.len(), 240 * 160 * 4);
+    assert!(clear.chunks_exact(4).any(|p| p[3] == 0) && clear.chunks_exact(4).any(|p| p[3] == 255));
 }

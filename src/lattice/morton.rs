@@ -26,6 +26,10 @@ pub struct Key {
 pub trait SortKey: Copy + Ord + Send + Sync + std::fmt::Debug {
     /// The highest digit in which the two differ; -1 if they are equal.
     fn differing_digit(self, other: Self) -> i8;
+    /// Do the two differ in a digit above the one at `index`, which is at least 0?
+    fn differs_above(self, other: Self, index: i8) -> bool {
+        self.differing_digit(other) > index
+    }
     /// The digit at `index`, 0 being the finest.
     fn digit(self, index: u8) -> u8;
     /// The digits from [`LOW_DIGITS`] up, zero where they are not kept, and those below.
@@ -41,6 +45,11 @@ impl SortKey for u64 {
             // At most bit 62, so the quotient is at most 20.
             x => (x.ilog2() / 3) as i8,
         }
+    }
+
+    #[inline]
+    fn differs_above(self, other: Self, index: i8) -> bool {
+        (self ^ other).checked_shr(3 * (u32::from(index.unsigned_abs()) + 1)).is_some_and(|above| above != 0)
     }
 
     fn digit(self, index: u8) -> u8 {
@@ -208,6 +217,10 @@ mod tests {
             if digit < i8::try_from(LOW_DIGITS).unwrap() {
                 prop_assert_eq!(a.low_key().cmp(&b.low_key()), ka.cmp(&kb));
                 prop_assert_eq!(a.low_key().differing_digit(b.low_key()), digit);
+                for index in 0..=48 {
+                    prop_assert_eq!(a.low_key().differs_above(b.low_key(), index), digit > index);
+                    prop_assert_eq!(ka.differs_above(kb, index), digit > index);
+                }
             }
             for k in 0..=48_u8 {
                 let same = i16::from(digit) < i16::from(k);

@@ -41,14 +41,24 @@ pub fn first_win(previous: Option<Cube>, bucket: Cube, root: Cube) -> i8 {
 pub fn steps<K: SortKey>(keys: &[K], wins: &[i8]) -> Vec<u8> {
     /// Groups by rank, from rank 1; a rank beyond 7 does not occur.
     const GROUPS: [u8; 8] = [1, 2, 2, 2, 3, 3, 3, 3];
-    let Some(&first) = keys.first() else { return Vec::new() };
+    let Some((&first, &win)) = keys.first().zip(wins.first()) else { return Vec::new() };
+    if wins.iter().all(|&w| w == win) {
+        // An inner node, or repeated positions: what is kept from point to point stays in registers.
+        let (mut previous, mut next) = (first, 0_u8);
+        let group = |&key: &K| {
+            let rank = if previous.differs_above(key, win) { 0 } else { next };
+            (previous, next) = (key, (rank + 1).min(7));
+            GROUPS[usize::from(rank & 7)]
+        };
+        return if win < 0 { vec![1; keys.len()] } else { keys.iter().map(group).collect() };
+    }
     // Per win: the last point that had it, and the rank after it, from 0.
     let mut last = [(first, 0_u8); BITS as usize + 1];
     let group = |(&key, &win): (&K, &i8)| {
         let Ok(c) = usize::try_from(win) else { return 1 };
         let (previous, rank) = last[c.min(BITS as usize)];
         // A choice of values, not of ways: which it is can't be predicted.
-        let rank = if previous.differing_digit(key) > win { 0 } else { rank };
+        let rank = if previous.differs_above(key, win) { 0 } else { rank };
         last[c.min(BITS as usize)] = (key, (rank + 1).min(7));
         GROUPS[usize::from(rank & 7)]
     };

@@ -2,7 +2,7 @@
 //! coarser nodes is joined as soon as its turn comes.
 
 use super::IngestError;
-use super::gather::{ScanColumns, Scratch, gather};
+use super::gather::{RowSource, ScanColumns, Scratch, gather};
 use super::loaded::{LoadScratch, Loaded, Payloads, Rows, load};
 use super::partition::Bucket;
 use super::progress::Progress;
@@ -20,12 +20,12 @@ use std::sync::{Arc, Mutex};
 
 /// The payloads of `points`, which leave a bucket whose own node samples cells of exponent `cell`: in one block for each
 /// node that will store them, so that none keeps others' memory while it rises.
-fn held(points: &[u32], wins: &[i8], cell: i8, order: &[u32], rows: &Rows<'_>) -> Vec<Held> {
+fn held(points: &[u32], wins: &[i8], cell: i8, rows: &Rows<'_>) -> Vec<Held> {
     // Wins are at most 48, and no smaller than `cell` here.
     let group = |i: u32| (wins[i as usize].max(cell) - cell) as u8;
     let mut grouped: [Vec<u32>; 256] = std::array::from_fn(|_| Vec::new());
     for &i in points {
-        grouped[usize::from(group(i))].push(order[i as usize]);
+        grouped[usize::from(group(i))].push(i);
     }
     let block = |of_group: Vec<u32>| (!of_group.is_empty()).then(|| Arc::new(rows.picked(of_group.into_iter())));
     let blocks = grouped.map(block);
@@ -74,6 +74,18 @@ struct Job {
 /// A point on its way to a coarser node.
 type Held = (Arc<Payloads>, u32);
 
+/// The points of a node above the buckets.
+#[derive(Clone, Copy)]
+struct Rising<'a>(&'a [Entry<Held>]);
+
+impl<'a> RowSource<'a> for Rising<'a> {
+    #[inline(always)]
+    fn row(&self, row: u32) -> (u32, &'a [u8]) {
+        let (payloads, row) = &self.0[row as usize].item;
+        payloads.row(*row)
+    }
+}
+
 /// Joins what jobs leave, in job order.
 struct Joiner {
     assembler: Option<Assembler<Held>>,
@@ -117,8 +129,7 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
             };
             let bucket = bucket.ok_or_else(|| IngestError::Internal("a bucket was taken twice".into()))?;
             let previous = number.checked_sub(1).map(|i| jobs[i].cube);
-            let left = worker.run(job, previous, &bucket, &mut scratch)?;
-            drop(bucket);
+            let left = worker.run(job, previous, bucket, &mut scratch)?;
             plan.progress.advance(job.rows);
             if let Some(subtree) = left {
                 let ready = advance(&joiner, number, subtree);
@@ -219,7 +230,6 @@ struct JobScratch<K> {
 struct NodeScratch<K> {
     keys: Vec<K>,
     wins: Vec<i8>,
-    rows: Vec<u32>,
 }
 
 /// A node without its points.
@@ -254,12 +264,15 @@ impl<'a> Worker<'a> {
         &mut self,
         job: &Job,
         previous: Option<Cube>,
-        bucket: &Bucket,
+        bucket: Arc<Bucket>,
         scratch: &mut JobScratch<K>,
     ) -> Result<Option<Subtree<Held>>, IngestError> {
         let plan = self.plan;
         let JobScratch { load: load_scratch, wins, node: own } = scratch;
-        let Loaded { keys, order, rows } = load::<K>(bucket, job.cube, job.rows, plan.scans, plan.spill, load_scratch)?;
+        let of_bucket = bucket.cube.first_key();
+        let Loaded { keys, rows } = load::<K>(&bucket, job.cube, job.rows, plan.scans, plan.spill, load_scratch)?;
+        // Its memory is used again while its points are encoded.
+        drop(bucket);
         put_wins(keys, first_win(previous, job.cube, plan.root), wins);
         let place = if job.cube == plan.root { Place::Root } else { Place::Below };
         let mut result = Ok(());
@@ -271,8 +284,8 @@ impl<'a> Worker<'a> {
             plan.params,
             |EmittedNode { cube, leaf, children, points, .. }| {
                 if result.is_ok() {
-                    own.fill(points, keys, wins, order);
-                    result = self.encode(NodeFrame { cube, leaf, children }, own, |i| rows.row(i));
+                    own.fill(points, keys, wins);
+                    result = self.encode(NodeFrame { cube, leaf, children }, own, points, rows);
                 }
             },
         );
@@ -280,9 +293,8 @@ impl<'a> Worker<'a> {
         if place == Place::Root {
             return Ok(None);
         }
-        let held = held(&rest.points, wins, plan.params.cell(job.cube.k()), order, &rows);
+        let held = held(&rest.points, wins, plan.params.cell(job.cube.k()), &rows);
         let mut item = held.into_iter();
-        let of_bucket = bucket.cube.first_key();
         let subtree = Subtree::from_bucket(job.cube, &rest, |i| {
             let i = i as usize;
             let item = item.next().unwrap_or_default();
@@ -296,30 +308,27 @@ impl<'a> Worker<'a> {
             let own = NodeScratch {
                 keys: entries.iter().map(|e| e.key).collect(),
                 wins: entries.iter().map(|e| e.win).collect(),
-                rows: (0..).take(entries.len()).collect(),
             };
-            let row = |i: u32| {
-                let (payloads, row) = &entries[i as usize].item;
-                payloads.row(*row)
-            };
-            self.encode(NodeFrame { cube, leaf, children }, &own, row)?;
+            let rows: Vec<u32> = (0..).take(entries.len()).collect();
+            self.encode(NodeFrame { cube, leaf, children }, &own, &rows, Rising(&entries))?;
         }
         Ok(())
     }
 
-    /// Gives a node to the sink, in the form that it wants; `row` gives the scan slot and the payload of a row.
+    /// Gives a node to the sink, in the form that it wants; its points are these `rows` of `source`.
     fn encode<'r, K: RowKey>(
         &mut self,
         NodeFrame { cube, leaf, children }: NodeFrame,
         own: &NodeScratch<K>,
-        row: impl Fn(u32) -> (u32, &'r [u8]),
+        rows: &[u32],
+        source: impl RowSource<'r> + Copy,
     ) -> Result<(), IngestError> {
-        let NodeScratch { keys, wins, rows } = own;
+        let NodeScratch { keys, wins } = own;
         let sink = match self.plan.sink {
             Sink::Encoded(sink) => sink,
             Sink::Content(sink) => {
                 let mut columns = PointColumns::default();
-                gather(self.plan.scans, rows, &row, &mut self.gather, &mut columns);
+                gather(self.plan.scans, rows, source, &mut self.gather, &mut columns);
                 let keys = keys.iter().map(|key| key.full(cube.first_key())).collect();
                 let PointColumns { scans, columns } = columns;
                 return sink(cube, leaf, DecodedPart { keys, blocks: Vec::new(), scans, columns });
@@ -329,9 +338,14 @@ impl<'a> Worker<'a> {
         self.columns.resize_with(cut.len().max(self.columns.len()), PointColumns::default);
         let parts = &mut self.columns[..cut.len()];
         for (part, columns) in cut.iter().zip(&mut *parts) {
-            self.part_rows.clear();
-            self.part_rows.extend(part.points.iter().map(|&i| rows[i as usize]));
-            gather(self.plan.scans, &self.part_rows, &row, &mut self.gather, columns);
+            let part_rows = if part.points.len() == rows.len() {
+                rows
+            } else {
+                self.part_rows.clear();
+                self.part_rows.extend(part.points.iter().map(|&i| rows[i as usize]));
+                &self.part_rows
+            };
+            gather(self.plan.scans, part_rows, source, &mut self.gather, columns);
         }
         let input = NodeInput { layer: self.plan.layer, cube, leaf, children, keys, plan: &cut, parts };
         let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
@@ -342,12 +356,10 @@ impl<'a> Worker<'a> {
 
 impl<K: RowKey> NodeScratch<K> {
     /// Takes the bucket's points with these indices.
-    fn fill(&mut self, points: &[u32], keys: &[K], wins: &[i8], order: &[u32]) {
+    fn fill(&mut self, points: &[u32], keys: &[K], wins: &[i8]) {
         self.keys.clear();
         self.keys.extend(points.iter().map(|&i| keys[i as usize]));
         self.wins.clear();
         self.wins.extend(points.iter().map(|&i| wins[i as usize]));
-        self.rows.clear();
-        self.rows.extend(points.iter().map(|&i| order[i as usize]));
     }
 }

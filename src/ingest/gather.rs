@@ -1,6 +1,7 @@
 //! From rows to the columns of a node's parts.
 
 use super::partition::RowPlan;
+use super::rows::with_payload_words;
 use crate::points::{Column, RecordLayout};
 use crate::store::PointColumns;
 use crate::store::model::{ScanId, Slot};
@@ -47,24 +48,38 @@ pub(super) struct Scratch {
     places: Vec<u32>,
 }
 
-/// Gathers the columns of `rows`, which `row` gives as `(scan slot, payload)`, in their order. Columns of attributes that
-/// a point's scan lacks hold zero there. What `into` held before is replaced; its memory is used again.
+/// Where rows are.
+pub(super) trait RowSource<'r> {
+    /// The scan slot and the payload of row `row`. To be inlined wherever it is called: a call for each row costs as much as
+    /// what is done with it.
+    fn row(&self, row: u32) -> (u32, &'r [u8]);
+}
+
+impl<'r, F: Fn(u32) -> (u32, &'r [u8])> RowSource<'r> for F {
+    #[inline(always)]
+    fn row(&self, row: u32) -> (u32, &'r [u8]) {
+        self(row)
+    }
+}
+
+/// Gathers the columns of `rows` of `source`, in their order. Columns of attributes that a point's scan lacks hold zero
+/// there. What `into` held before is replaced; its memory is used again.
 pub(super) fn gather<'r>(
     scans: &[ScanColumns<'_>],
     rows: &[u32],
-    row: impl Fn(u32) -> (u32, &'r [u8]),
+    source: impl RowSource<'r>,
     scratch: &mut Scratch,
     into: &mut PointColumns,
 ) {
     into.scans.clear();
     into.columns.iter_mut().for_each(|(_, column)| column.clear());
     for block in rows.chunks(BLOCK) {
-        let slot = |i: &u32| row(*i).0;
+        let slot = |i: &u32| source.row(*i).0;
         let first = slot(&block[0]);
         if scans.len() == 1 || block.iter().all(|i| slot(i) == first) {
-            gather_one_scan(&scans[first as usize], block, |i| row(i).1, scratch, into);
+            gather_one_scan(&scans[first as usize], block, &source, scratch, into);
         } else {
-            gather_mixed(scans, block, &row, scratch, into);
+            gather_mixed(scans, block, &source, scratch, into);
         }
     }
     let n = into.scans.len();
@@ -78,7 +93,7 @@ pub(super) fn gather<'r>(
 fn gather_one_scan<'r>(
     scan: &ScanColumns<'_>,
     rows: &[u32],
-    payload: impl Fn(u32) -> &'r [u8],
+    source: &impl RowSource<'r>,
     scratch: &mut Scratch,
     into: &mut PointColumns,
 ) {
@@ -89,13 +104,11 @@ fn gather_one_scan<'r>(
         return;
     }
     let Scratch { payloads, varying, .. } = scratch;
-    // Rows lie about in memory. Touched first, many of them are fetched at once.
-    std::hint::black_box(rows.iter().fold(0, |sum, &row| sum ^ payload(row).first().unwrap_or(&0)));
     let bytes = rows.len() * layout.payload;
     if payloads.len() < bytes {
         payloads.resize(bytes, 0);
     }
-    copy_payloads(layout.payload, rows, payload, &mut payloads[..bytes], varying);
+    copy_payloads(layout.payload, rows, source, &mut payloads[..bytes], varying);
     let payloads = payloads[..bytes].chunks_exact(layout.payload);
     for field in 0..scan.slots.len() {
         let column = column_of(into, scan, field, start);
@@ -112,13 +125,13 @@ fn gather_one_scan<'r>(
 fn gather_mixed<'r>(
     scans: &[ScanColumns<'_>],
     rows: &[u32],
-    row: &impl Fn(u32) -> (u32, &'r [u8]),
+    source: &impl RowSource<'r>,
     scratch: &mut Scratch,
     into: &mut PointColumns,
 ) {
     let start = into.scans.len();
-    into.scans.extend(rows.iter().map(|&i| scans[row(i).0 as usize].id));
-    let mut slots: Vec<u32> = rows.iter().map(|&i| row(i).0).collect();
+    into.scans.extend(rows.iter().map(|&i| scans[source.row(i).0 as usize].id));
+    let mut slots: Vec<u32> = rows.iter().map(|&i| source.row(i).0).collect();
     slots.sort_unstable();
     slots.dedup();
     for slot in slots {
@@ -127,7 +140,7 @@ fn gather_mixed<'r>(
         places.clear();
         payloads.clear();
         for (place, &i) in (0_u32..).zip(rows) {
-            let (of, payload) = row(i);
+            let (of, payload) = source.row(i);
             if of == slot {
                 places.push(place);
                 payloads.extend_from_slice(payload);
@@ -161,37 +174,30 @@ fn column_of<'c>(into: &'c mut PointColumns, scan: &ScanColumns<'_>, field: usiz
     column
 }
 
-/// Puts the payloads of `rows`, `bytes` each, one after the other into `to`, which has their size, and into `varying` the bits in which they
-/// are not as the first.
-fn copy_payloads<'r>(
-    bytes: usize,
-    rows: &[u32],
-    payload: impl Fn(u32) -> &'r [u8],
-    to: &mut [u8],
-    varying: &mut Vec<u8>,
-) {
-    // Words of 8 bytes, of which the last two may overlap, and as many of them as the compiler knows: a call to copy so
-    // few bytes takes longer than the copy.
-    match bytes.div_ceil(8) {
-        _ if bytes < 8 => copy_bytes(rows, payload, to, varying),
-        1 => copy_words::<1>(bytes, rows, payload, to, varying),
-        2 => copy_words::<2>(bytes, rows, payload, to, varying),
-        3 => copy_words::<3>(bytes, rows, payload, to, varying),
-        4 => copy_words::<4>(bytes, rows, payload, to, varying),
-        5 => copy_words::<5>(bytes, rows, payload, to, varying),
-        6 => copy_words::<6>(bytes, rows, payload, to, varying),
-        7 => copy_words::<7>(bytes, rows, payload, to, varying),
-        8 => copy_words::<8>(bytes, rows, payload, to, varying),
-        _ => copy_bytes(rows, payload, to, varying),
+/// Puts the payloads of `rows`, `bytes` each, one after the other into `to`, which has their size, and into `varying` the
+/// bits in which they are not as the first.
+fn copy_payloads<'r>(bytes: usize, rows: &[u32], source: &impl RowSource<'r>, to: &mut [u8], varying: &mut Vec<u8>) {
+    fn copy<'r, R: RowSource<'r>, const WORDS: usize>(
+        bytes: usize,
+        rows: &[u32],
+        source: &R,
+        to: &mut [u8],
+        varying: &mut Vec<u8>,
+    ) {
+        match WORDS {
+            0 => copy_bytes(rows, source, to, varying),
+            _ => copy_words::<WORDS>(bytes, rows, source, to, varying),
+        }
     }
+    with_payload_words!(bytes, copy::<_>(bytes, rows, source, to, varying));
 }
 
-fn copy_bytes<'r>(rows: &[u32], payload: impl Fn(u32) -> &'r [u8], to: &mut [u8], varying: &mut Vec<u8>) {
-    let first = payload(rows[0]);
+fn copy_bytes<'r>(rows: &[u32], source: &impl RowSource<'r>, to: &mut [u8], varying: &mut Vec<u8>) {
+    let first = source.row(rows[0]).1;
     varying.clear();
     varying.resize(first.len(), 0);
     for (to, &row) in to.chunks_exact_mut(first.len()).zip(rows) {
-        let from = payload(row);
+        let from = source.row(row).1;
         to.copy_from_slice(from);
         varying.iter_mut().zip(from).zip(first).for_each(|((v, a), b)| *v |= a ^ b);
     }
@@ -200,7 +206,7 @@ fn copy_bytes<'r>(rows: &[u32], payload: impl Fn(u32) -> &'r [u8], to: &mut [u8]
 fn copy_words<'r, const WORDS: usize>(
     bytes: usize,
     rows: &[u32],
-    payload: impl Fn(u32) -> &'r [u8],
+    source: &impl RowSource<'r>,
     to: &mut [u8],
     varying: &mut Vec<u8>,
 ) {
@@ -212,10 +218,10 @@ fn copy_words<'r, const WORDS: usize>(
             u64::from_le_bytes(word)
         })
     };
-    let first = words(payload(rows[0]));
+    let first = words(source.row(rows[0]).1);
     let mut differing = [0; WORDS];
     for (to, &row) in to.chunks_exact_mut(bytes).zip(rows) {
-        let from = words(&payload(row)[..bytes]);
+        let from = words(&source.row(row).1[..bytes]);
         for w in 0..WORDS {
             to[start(w)..start(w) + 8].copy_from_slice(&from[w].to_le_bytes());
             differing[w] |= from[w] ^ first[w];
@@ -322,7 +328,7 @@ mod tests {
             let scans = [ScanColumns::new(1, [0; 32], &plan, slots)];
             let mut got = PointColumns::default();
             let order: Vec<u32> = (0..n).rev().collect();
-            gather(&scans, &order, |i| (0, &payloads[i as usize]), &mut Scratch::default(), &mut got);
+            gather(&scans, &order, |i| (0, &payloads[i as usize][..]), &mut Scratch::default(), &mut got);
             prop_assert_eq!(got.columns.len(), layout.fields.len());
             for (index, (_, column)) in got.columns.iter().enumerate() {
                 let mut naive = Column::with_capacity(layout.attributes[index].ty, 0);

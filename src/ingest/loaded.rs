@@ -1,12 +1,14 @@
-//! The rows of one bucket in canonical order, where they lie; and those that leave it for coarser nodes.
+//! The rows of one bucket in canonical order; and those that leave it for coarser nodes.
 
 use super::IngestError;
-use super::gather::ScanColumns;
+use super::gather::{RowSource, ScanColumns};
 use super::partition::{Bucket, Place, Segment};
-use super::rows::{PairSorter, RowKey};
+use super::rows::{RowKey, copy_payload, with_payload_words};
+use super::sort::{Bins, Sorter};
 use super::spill::Spill;
 use crate::lattice::Cube;
 use std::cmp::Ordering;
+use std::ops::Range;
 
 /// Payloads of rows of several scans, addressed by a number each.
 #[derive(Debug, Default)]
@@ -44,40 +46,36 @@ impl Payloads {
     }
 }
 
-/// Rows of several scans where they lie, addressed by a number each.
-#[derive(Debug)]
-pub(super) struct Rows<'a> {
-    runs: Vec<Run<'a>>,
-    /// A row's number is that of its run, shifted by so many bits, and its place in it.
-    shift: u32,
-    key_bytes: usize,
-}
-
-/// Rows of one scan that lie together.
+/// Rows of one cube without their keys, one after the other in key order, addressed by their number.
 #[derive(Clone, Copy, Debug)]
-struct Run<'a> {
-    slot: u32,
-    row_bytes: usize,
+pub(super) struct Rows<'a> {
     bytes: &'a [u8],
+    stride: usize,
+    /// Bytes of the scan's number before each payload: none if all are of one scan.
+    head: usize,
+    /// The only scan.
+    slot: u32,
+    scans: &'a [ScanColumns<'a>],
 }
 
-impl<'a> Rows<'a> {
-    /// `None` if there are too many to number.
-    fn new(runs: Vec<Run<'a>>, key_bytes: usize) -> Option<Self> {
-        let most = runs.iter().map(|r| r.bytes.len() / r.row_bytes).max().unwrap_or(0).max(1);
-        let shift = usize::BITS - (most - 1).leading_zeros();
-        let rows = (runs.len() as u64).checked_shl(shift).filter(|_| shift < u32::BITS)?;
-        (rows <= 1 << u32::BITS).then_some(Self { runs, shift, key_bytes })
-    }
+/// Bytes of a scan's number before a payload.
+const SLOT_BYTES: usize = 4;
 
-    /// The scan and the payload of row `row`.
-    #[inline]
-    pub fn row(&self, row: u32) -> (u32, &'a [u8]) {
-        let run = self.runs[(row >> self.shift) as usize];
-        let start = (row & ((1 << self.shift) - 1)) as usize * run.row_bytes;
-        (run.slot, &run.bytes[start + self.key_bytes..start + run.row_bytes])
+impl<'a> RowSource<'a> for Rows<'a> {
+    #[inline(always)]
+    fn row(&self, row: u32) -> (u32, &'a [u8]) {
+        let start = row as usize * self.stride;
+        let bytes = &self.bytes[start..start + self.stride];
+        if self.head == 0 {
+            return (self.slot, bytes);
+        }
+        let (slot, payload) = bytes.split_at(SLOT_BYTES);
+        let slot = u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]);
+        (slot, &payload[..self.scans[slot as usize].plan.layout.payload])
     }
+}
 
+impl Rows<'_> {
     /// The payloads of `rows`, copied, numbered from zero in that order.
     pub fn picked(&self, rows: impl Iterator<Item = u32>) -> Payloads {
         let mut picked = Payloads::default();
@@ -94,19 +92,21 @@ impl<'a> Rows<'a> {
 pub(super) struct LoadScratch<K> {
     /// Spilled rows that were read back.
     spilled: Vec<u8>,
-    segment: Vec<u8>,
-    pairs: Vec<(K, u32)>,
-    sorter: PairSorter<K>,
+    bins: Bins,
+    sorter: Sorter<K>,
     keys: Vec<K>,
     order: Vec<u32>,
+    /// Rows in their bins.
+    scattered: Vec<u8>,
+    /// Of [`Rows`].
+    rows: Vec<u8>,
 }
 
-/// A bucket, sorted.
+/// The rows of a cube, sorted.
 #[derive(Debug)]
 pub(super) struct Loaded<'a, K> {
     pub keys: &'a [K],
-    /// The number of each point's row.
-    pub order: &'a [u32],
+    /// Of the points in the order of their keys.
     pub rows: Rows<'a>,
 }
 
@@ -144,89 +144,158 @@ fn read_back(spill: Option<&Spill>, offset: u64, bytes: usize, to: &mut Vec<u8>)
     spill.read(&mut to[start..], offset)
 }
 
+/// Rows of one scan that lie together, with their keys.
+struct Run<'a> {
+    slot: u32,
+    row_bytes: usize,
+    bytes: &'a [u8],
+}
+
 /// Finds the `rows` rows of `bucket` that lie in `cube` and sorts them by (key, record bytes, attributes, scan identity).
-/// Rows that are in memory stay where they are.
+/// They are copied, so the bucket is no longer needed afterwards.
 pub(super) fn load<'a, K: RowKey>(
-    bucket: &'a Bucket,
+    bucket: &Bucket,
     cube: Cube,
     rows: u64,
-    scans: &[ScanColumns<'_>],
+    scans: &'a [ScanColumns<'a>],
     spill: Option<&Spill>,
     scratch: &'a mut LoadScratch<K>,
 ) -> Result<Loaded<'a, K>, IngestError> {
-    let LoadScratch { spilled, segment: buffer, pairs, sorter, keys, order } = scratch;
+    let LoadScratch { spilled, bins, sorter, keys, order, scattered, rows: bytes } = scratch;
+    spilled.clear();
+    let mut places = Vec::new();
+    for segment in &bucket.segments {
+        let start = spilled.len();
+        if let Place::Spilled { offset, bytes } = segment.place {
+            read_back(spill, offset, bytes, spilled)?;
+        }
+        places.push(start..spilled.len());
+    }
+    // What is read back is addressed when it no longer moves.
+    let runs = bucket.segments.iter().zip(places).map(|(segment, place)| {
+        let bytes = match &segment.place {
+            Place::Memory(bytes) => bytes,
+            Place::Spilled { .. } => &spilled[place],
+        };
+        Run { slot: segment.slot, row_bytes: row_bytes::<K>(segment, scans), bytes }
+    });
+    let runs: Vec<_> = runs.collect();
+
     let all = rows == bucket.rows;
     let (first, last) = (cube.first_key(), cube.last_key());
     let of_bucket = bucket.cube.first_key();
     let inside = |key: K| all || (first..=last).contains(&key.full(of_bucket));
-    // What is read back may be cut to the cube at once; it is addressed when it no longer moves.
-    spilled.clear();
-    let mut read = Vec::new();
-    for segment in &bucket.segments {
-        let Place::Spilled { offset, bytes } = segment.place else { continue };
-        let (row_bytes, start) = (row_bytes::<K>(segment, scans), spilled.len());
-        if all {
-            read_back(spill, offset, bytes, spilled)?;
-        } else {
-            buffer.clear();
-            read_back(spill, offset, bytes, buffer)?;
-            let rows = buffer.chunks_exact(row_bytes).filter(|row| inside(K::read(row)));
-            rows.for_each(|row| spilled.extend_from_slice(row));
-        }
-        read.push((segment.slot, row_bytes, start..spilled.len()));
+    let too_many = || IngestError::Internal(format!("{rows} points on one place do not fit one bucket"));
+    u32::try_from(rows).map_err(|_| too_many())?;
+    bins.clear(cube.k(), rows as usize);
+    for run in &runs {
+        run.bytes.chunks_exact(run.row_bytes).map(K::read).filter(|key| inside(*key)).for_each(|key| bins.count(key));
     }
-    let spilled: &[u8] = spilled;
-    let in_memory = bucket.segments.iter().filter_map(|segment| match &segment.place {
-        Place::Memory(bytes) => Some(Run { slot: segment.slot, row_bytes: row_bytes::<K>(segment, scans), bytes }),
-        Place::Spilled { .. } => None,
+    let count = bins.counted();
+    let slot = runs.first().map_or(0, |r| r.slot);
+    let head = if runs.iter().all(|r| r.slot == slot) { 0 } else { SLOT_BYTES };
+    let stride = head + runs.iter().map(|r| r.row_bytes - K::BYTES).max().unwrap_or(0);
+    // Every place is overwritten; memory that was touched before is the cheapest.
+    keys.resize(count, K::default());
+    let needed = count.checked_mul(stride).ok_or_else(too_many)?;
+    for bytes in [&mut *scattered, &mut *bytes] {
+        if bytes.len() < needed {
+            bytes.clear();
+            bytes.resize(needed, 0);
+        }
+    }
+    let mut scatter = Scatter { bins, keys, rows: &mut scattered[..needed], stride, head };
+    for run in &runs {
+        let payload = run.row_bytes - K::BYTES;
+        let scatter = &mut scatter;
+        with_payload_words!(payload, scatter_run::<K>(run, &inside, scatter));
+    }
+    drop(runs);
+    let (from, to) = (&scattered[..needed], &mut bytes[..needed]);
+    sorter.sort(bins, keys, order, |bin, order| {
+        with_payload_words!(stride, permute(stride, bin, order, from, to));
     });
-    let read = read.into_iter().map(|(slot, row_bytes, range)| Run { slot, row_bytes, bytes: &spilled[range] });
-    let rows = Rows::new(in_memory.chain(read).collect(), K::BYTES)
-        .ok_or_else(|| IngestError::Internal(format!("{rows} points on one place do not fit one bucket")))?;
-    pairs.clear();
-    for (number, run) in rows.runs.iter().enumerate() {
-        // Checked by `Rows::new`.
-        let number = (number << rows.shift) as u32;
-        let keyed = (number..).zip(run.bytes.chunks_exact(run.row_bytes)).map(|(i, row)| (K::read(row), i));
-        if all {
-            pairs.extend(keyed);
-        } else {
-            pairs.extend(keyed.filter(|(key, _)| inside(*key)));
-        }
-    }
-    sorter.sort(pairs, cube.k());
-    settle_ties(pairs, &rows, scans);
-    keys.clear();
-    keys.extend(pairs.iter().map(|p| p.0));
-    order.clear();
-    order.extend(pairs.iter().map(|p| p.1));
-    Ok(Loaded { keys, order, rows })
+    let record = |row: &[u8]| {
+        let (slot, payload) = Rows { bytes: row, stride, head, slot, scans }.row(0);
+        let mut bytes = Vec::new();
+        scans[slot as usize].plan.layout.canonical_bytes(payload, &mut bytes);
+        (bytes, slot)
+    };
+    settle_ties(keys, &mut bytes[..needed], stride, record, |a, b| tie(a, b, scans));
+    let rows = Rows { bytes: &bytes[..needed], stride, head, slot, scans };
+    Ok(Loaded { keys, rows })
 }
 
-/// Settles runs of equal keys by record bytes, then attributes, then scan identity. Beyond that records are
-/// interchangeable.
-fn settle_ties<K: RowKey>(pairs: &mut [(K, u32)], rows: &Rows<'_>, scans: &[ScanColumns<'_>]) {
-    for run in pairs.chunk_by_mut(|a, b| a.0 == b.0) {
-        if run.len() < 2 {
+/// Puts the rows of a bin in order: the one at place `i` of the bin comes from place `order[i]` of all.
+fn permute<const WORDS: usize>(stride: usize, bin: Range<usize>, order: &[u32], from: &[u8], to: &mut [u8]) {
+    // Read once from its start to its end, the bin is in the fastest cache when its rows are picked.
+    let bytes = bin.start * stride..bin.end * stride;
+    std::hint::black_box(from[bytes.clone()].iter().step_by(64).fold(0, |sum, byte| sum ^ byte));
+    if stride == 0 {
+        return;
+    }
+    for (to, &place) in to[bytes].chunks_exact_mut(stride).zip(order) {
+        copy_payload::<WORDS>(&from[place as usize * stride..][..stride], to);
+    }
+}
+
+/// Where rows are scattered to.
+struct Scatter<'a, K> {
+    bins: &'a mut Bins,
+    keys: &'a mut [K],
+    rows: &'a mut [u8],
+    stride: usize,
+    head: usize,
+}
+
+fn scatter_run<K: RowKey, const WORDS: usize>(
+    run: &Run<'_>,
+    inside: &impl Fn(K) -> bool,
+    Scatter { bins, keys, rows, stride, head }: &mut Scatter<'_, K>,
+) {
+    let payload = run.row_bytes - K::BYTES;
+    for row in run.bytes.chunks_exact(run.row_bytes) {
+        let key = K::read(row);
+        if !inside(key) {
             continue;
         }
-        let mut tied: Vec<_> = run
-            .iter()
-            .map(|&(_, row)| {
-                let mut bytes = Vec::new();
-                let (slot, payload) = rows.row(row);
-                scans[slot as usize].plan.layout.canonical_bytes(payload, &mut bytes);
-                (bytes, slot, row)
-            })
-            .collect();
-        tied.sort_by(|a, b| tie(a, b, scans));
-        for (pair, (_, _, row)) in run.iter_mut().zip(tied) {
-            pair.1 = row;
+        let place = bins.place(key);
+        keys[place] = key;
+        let to = &mut rows[place * *stride..][..*head + payload];
+        if *head > 0 {
+            to[..SLOT_BYTES].copy_from_slice(&run.slot.to_le_bytes());
+        }
+        copy_payload::<WORDS>(&row[K::BYTES..], &mut to[*head..]);
+    }
+}
+
+/// Brings the rows of equal keys into the order of their records.
+fn settle_ties<K: RowKey, T>(
+    keys: &[K],
+    rows: &mut [u8],
+    stride: usize,
+    record: impl Fn(&[u8]) -> T,
+    order: impl Fn(&T, &T) -> Ordering,
+) {
+    if stride == 0 {
+        return;
+    }
+    let mut start = 0;
+    for run in keys.chunk_by(|a, b| a == b) {
+        let place = start * stride..(start + run.len()) * stride;
+        start += run.len();
+        if run.len() > 1 {
+            let rows = &mut rows[place];
+            let copy = rows.to_vec();
+            let mut sorted: Vec<_> = copy.chunks_exact(stride).map(|row| (record(row), row)).collect();
+            sorted.sort_by(|a, b| order(&a.0, &b.0));
+            rows.chunks_exact_mut(stride).zip(sorted).for_each(|(to, (_, from))| to.copy_from_slice(from));
         }
     }
 }
 
-fn tie(a: &(Vec<u8>, u32, u32), b: &(Vec<u8>, u32, u32), scans: &[ScanColumns<'_>]) -> Ordering {
+/// Record bytes, then attributes, then scan identity. Beyond that records are interchangeable.
+fn tie(a: &(Vec<u8>, u32), b: &(Vec<u8>, u32), scans: &[ScanColumns<'_>]) -> Ordering {
     let (x, y) = (&scans[a.1 as usize], &scans[b.1 as usize]);
     a.0.cmp(&b.0).then_with(|| x.signature.cmp(&y.signature)).then_with(|| x.identity.cmp(&y.identity))
 }

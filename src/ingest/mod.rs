@@ -29,6 +29,7 @@ mod reading;
 mod report;
 mod rows;
 mod run;
+mod sort;
 mod sources;
 mod spill;
 mod stored;

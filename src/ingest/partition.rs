@@ -4,7 +4,7 @@
 //! many buckets, `k` is raised while reading and the buckets so far are joined.
 
 use super::IngestError;
-use super::rows::RowKey;
+use super::rows::{RowKey, copy_payload, with_payload_words};
 use super::spill::Spill;
 use crate::lattice::{BITS, Cube, LOW_DIGITS, Lattice, LatticeBox, LatticePoint, SourceMap};
 use crate::points::{FieldKind, PositionKind, RecordLayout, ScalarType};
@@ -137,6 +137,7 @@ impl<'a> Partition<'a> {
             tally: ScanTally::default(),
             min: [u64::MAX; 3],
             max: [0; 3],
+            block: Block { positions: [[0; BLOCK]; 3], keys: [0; BLOCK] },
         }
     }
 
@@ -204,12 +205,8 @@ struct Open {
 /// Buckets that were looked up last, by a few bits of their corner.
 const RECENT: usize = 64;
 
-/// What becomes of the points of a run of records.
-struct RunTally {
-    stored: u64,
-    min: [u64; 3],
-    max: [u64; 3],
-    color_bits: u16,
+fn take_run<K: RowKey, const WORDS: usize>(sorter: &mut Sorter<'_, '_>, records: &[u8]) -> Result<(), IngestError> {
+    sorter.take_run::<K, WORDS>(records)
 }
 
 /// Turns records of one scan into rows of buckets; one thread has one for all pieces of a scan.
@@ -227,23 +224,22 @@ pub(super) struct Sorter<'a, 'b> {
     tally: ScanTally,
     min: [u64; 3],
     max: [u64; 3],
+    block: Block,
+}
+
+/// Records that are looked at together.
+const BLOCK: usize = 256;
+
+/// Positions of a block, by axis, and their keys.
+struct Block {
+    positions: [[i32; BLOCK]; 3],
+    keys: [u64; BLOCK],
 }
 
 impl Sorter<'_, '_> {
     /// Takes a run of whole records; `most_open_bytes` limits what is held in buffers that are not full yet.
     pub fn take<K: RowKey>(&mut self, records: &[u8], most_open_bytes: usize) -> Result<(), IngestError> {
-        // A call to copy so few bytes takes longer than the copy: whole words of 8, the last two of which may overlap, and
-        // as many of them as the compiler knows.
-        match self.plan.layout.payload {
-            0..8 => self.take_run::<K, 0>(records),
-            8 => self.take_run::<K, 1>(records),
-            9..=16 => self.take_run::<K, 2>(records),
-            17..=24 => self.take_run::<K, 3>(records),
-            25..=32 => self.take_run::<K, 4>(records),
-            33..=40 => self.take_run::<K, 5>(records),
-            41..=48 => self.take_run::<K, 6>(records),
-            _ => self.take_run::<K, 0>(records),
-        }?;
+        with_payload_words!(self.plan.layout.payload, take_run::<K>(self, records))?;
         if self.open_bytes > most_open_bytes {
             self.flush()?;
         }
@@ -253,41 +249,118 @@ impl Sorter<'_, '_> {
     /// Takes records whose payload is copied as so many words, or in any way if that is 0.
     fn take_run<K: RowKey, const WORDS: usize>(&mut self, records: &[u8]) -> Result<(), IngestError> {
         let stride = self.plan.layout.stride();
-        let head = self.plan.layout.position.size();
-        let colors = self.plan.color_offsets;
-        let mut run = RunTally { stored: 0, min: [u64::MAX; 3], max: [0; 3], color_bits: 0 };
-        for record in records.chunks_exact(stride) {
-            let (position, payload) = record.split_at(head);
-            let Some(point) = self.position(position) else { continue };
-            run.stored += 1;
-            for axis in 0..3 {
-                run.min[axis] = run.min[axis].min(point.0[axis]);
-                run.max[axis] = run.max[axis].max(point.0[axis]);
+        let narrow = K::BYTES == <u64 as RowKey>::BYTES && WORDS > 0;
+        for block in records.chunks(BLOCK * stride) {
+            let taken = match self.affine {
+                Some(affine) if narrow => self.take_block::<WORDS>(block, affine)?,
+                _ => false,
+            };
+            if !taken {
+                self.take_one_by_one::<K, WORDS>(block)?;
             }
-            if let Some(offsets) = colors {
-                for o in offsets {
-                    run.color_bits |= u16::from_le_bytes([payload[o], payload[o + 1]]);
-                }
-            }
-            self.push::<K, WORDS>(point, payload)?;
         }
         self.tally.read += (records.len() / stride) as u64;
-        self.tally.stored += run.stored;
-        self.tally.color_bits |= run.color_bits;
-        for axis in 0..3 {
-            self.min[axis] = self.min[axis].min(run.min[axis]);
-            self.max[axis] = self.max[axis].max(run.max[axis]);
+        Ok(())
+    }
+
+    /// Takes records in any way.
+    fn take_one_by_one<K: RowKey, const WORDS: usize>(&mut self, records: &[u8]) -> Result<(), IngestError> {
+        let head = self.plan.layout.position.size();
+        for record in records.chunks_exact(self.plan.layout.stride()) {
+            let (position, payload) = record.split_at(head);
+            let Some(point) = self.position(position) else { continue };
+            self.tally.stored += 1;
+            self.widen(point, point);
+            self.note_colors(payload);
+            self.turn_to(point.0.map(|c| c >> self.k));
+            let room = self.room(K::BYTES + payload.len());
+            let row = &mut room.bytes[room.used..];
+            K::of(point).write(row);
+            copy_payload::<WORDS>(payload, &mut row[K::BYTES..K::BYTES + payload.len()]);
+            self.filled(K::BYTES + payload.len(), 1)?;
         }
         Ok(())
+    }
+
+    /// Takes a block of records on a grid that coincides with the lattice, or none of it: false if one of them lies
+    /// outside of the lattice, or they are not all in one cube of the 21 levels that keys tell apart.
+    fn take_block<const WORDS: usize>(&mut self, block: &[u8], affine: [(i64, i64); 3]) -> Result<bool, IngestError> {
+        let layout = &self.plan.layout;
+        let (stride, head, payload) = (layout.stride(), layout.position.size(), layout.payload);
+        let n = block.len() / stride;
+        let Block { positions, keys } = &mut self.block;
+        for (i, record) in block.chunks_exact(stride).enumerate() {
+            for (axis, positions) in positions.iter_mut().enumerate() {
+                positions[i] = grid_coordinate(record, axis);
+            }
+        }
+        // The map ascends, so the extremes tell of all.
+        let index = |axis: usize, x: i32| i64::from(x) * affine[axis].0 + affine[axis].1;
+        let (mut min, mut max) = ([0; 3], [0; 3]);
+        for axis in 0..3 {
+            let (low, high) = positions[axis][..n].iter().fold((i32::MAX, i32::MIN), |(l, h), &x| (l.min(x), h.max(x)));
+            (min[axis], max[axis]) = (index(axis, low) as u64, index(axis, high) as u64);
+            // A negative index has high bits set, too.
+            if (min[axis] | max[axis]) >> BITS != 0 || min[axis] >> LOW_DIGITS != max[axis] >> LOW_DIGITS {
+                return Ok(false);
+            }
+        }
+        let [x, y, z] = positions;
+        for (((key, &x), &y), &z) in keys[..n].iter_mut().zip(&*x).zip(&*y).zip(&*z) {
+            *key = LatticePoint([index(0, x) as u64, index(1, y) as u64, index(2, z) as u64]).low_key();
+        }
+        self.tally.stored += n as u64;
+        self.widen(LatticePoint(min), LatticePoint(max));
+        let mut colors = Ored([0; WORDS]);
+        let below = 3 * u32::from(self.k);
+        let mut start = 0;
+        while start < n {
+            let cube = self.block.keys[start] >> below;
+            let run = self.block.keys[start..n].iter().take_while(|&&key| key >> below == cube).count();
+            let corner = |axis| index(axis, self.block.positions[axis][start]) as u64 >> self.k;
+            self.turn_to([corner(0), corner(1), corner(2)]);
+            let mut left = start..start + run;
+            while !left.is_empty() {
+                let row_bytes = <u64 as RowKey>::BYTES + payload;
+                let room = self.room(row_bytes);
+                let count = left.len().min((room.bytes.len() - room.used) / row_bytes);
+                let (now, rest) = (left.start..left.start + count, left.start + count..left.end);
+                let open = &mut self.open[self.current];
+                let rows = open.bytes[open.used..].chunks_exact_mut(row_bytes);
+                let records = block[now.start * stride..now.end * stride].chunks_exact(stride);
+                for ((row, key), record) in rows.zip(&self.block.keys[now]).zip(records) {
+                    let (to_key, to) = row.split_at_mut(<u64 as RowKey>::BYTES);
+                    key.write(to_key);
+                    colors.copy(&record[head..], to);
+                }
+                self.filled(row_bytes, count)?;
+                left = rest;
+            }
+            start += run;
+        }
+        self.note_colors(&colors.bytes(payload));
+        Ok(true)
+    }
+
+    fn widen(&mut self, low: LatticePoint, high: LatticePoint) {
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(low.0[axis]);
+            self.max[axis] = self.max[axis].max(high.0[axis]);
+        }
+    }
+
+    /// Notes the colours of a payload, or of several that are or-ed.
+    fn note_colors(&mut self, payload: &[u8]) {
+        for o in self.plan.color_offsets.into_iter().flatten() {
+            self.tally.color_bits |= u16::from_le_bytes([payload[o], payload[o + 1]]);
+        }
     }
 
     #[inline]
     fn position(&mut self, bytes: &[u8]) -> Option<LatticePoint> {
         match self.plan.layout.position {
             PositionKind::Grid => {
-                let x: [i32; 3] = std::array::from_fn(|i| {
-                    i32::from_le_bytes([bytes[4 * i], bytes[4 * i + 1], bytes[4 * i + 2], bytes[4 * i + 3]])
-                });
+                let x: [i32; 3] = std::array::from_fn(|axis| grid_coordinate(bytes, axis));
                 if let Some(affine) = self.affine {
                     let index: [u64; 3] = std::array::from_fn(|i| (i64::from(x[i]) * affine[i].0 + affine[i].1) as u64);
                     // A negative index has high bits set, too.
@@ -352,13 +425,9 @@ impl Sorter<'_, '_> {
         Some(point)
     }
 
+    /// The current bucket with room for one row more.
     #[inline]
-    fn push<K: RowKey, const WORDS: usize>(&mut self, point: LatticePoint, payload: &[u8]) -> Result<(), IngestError> {
-        let corner = point.0.map(|c| c >> self.k);
-        if self.open.get(self.current).is_none_or(|o| !same(o.corner, corner)) {
-            self.turn_to(corner);
-        }
-        let row_bytes = K::BYTES + payload.len();
+    fn room(&mut self, row_bytes: usize) -> &mut Open {
         let open = &mut self.open[self.current];
         if open.bytes.is_empty() {
             let rows = (open.next_bytes / row_bytes).max(1);
@@ -366,22 +435,33 @@ impl Sorter<'_, '_> {
             open.bytes = vec![0; rows * row_bytes];
             self.open_bytes += open.bytes.len();
         }
-        let row = &mut open.bytes[open.used..open.used + row_bytes];
-        K::of(point).write(row);
-        copy_payload::<WORDS>(payload, &mut row[K::BYTES..]);
-        open.used += row_bytes;
-        open.rows += 1;
-        if open.used == open.bytes.len() {
-            open.used = 0;
-            let (rows, bytes) = (std::mem::take(&mut open.rows), std::mem::take(&mut open.bytes));
-            self.open_bytes -= bytes.len();
-            self.hand_over(corner, rows, bytes)?;
+        open
+    }
+
+    /// Rows have been put into the current bucket; when its buffer is full it is handed over.
+    #[inline]
+    fn filled(&mut self, row_bytes: usize, rows: usize) -> Result<(), IngestError> {
+        let open = &mut self.open[self.current];
+        open.used += rows * row_bytes;
+        open.rows += rows as u32;
+        if open.used < open.bytes.len() {
+            return Ok(());
         }
-        Ok(())
+        open.used = 0;
+        let (corner, rows, bytes) = (open.corner, std::mem::take(&mut open.rows), std::mem::take(&mut open.bytes));
+        self.open_bytes -= bytes.len();
+        self.hand_over(corner, rows, bytes)
     }
 
     /// Makes the bucket at `corner` the current one.
+    #[inline]
     fn turn_to(&mut self, corner: [u64; 3]) {
+        if self.open.get(self.current).is_none_or(|o| !same(o.corner, corner)) {
+            self.look_up(corner);
+        }
+    }
+
+    fn look_up(&mut self, corner: [u64; 3]) {
         let recent = (corner[0] ^ corner[1] << 3 ^ corner[2] << 5) as usize % RECENT;
         self.current = self.recent[recent];
         if self.open.get(self.current).is_none_or(|o| !same(o.corner, corner)) {
@@ -424,25 +504,48 @@ impl Sorter<'_, '_> {
     }
 }
 
+/// The source's integer on `axis` in a record of [`PositionKind::Grid`].
+#[inline]
+fn grid_coordinate(record: &[u8], axis: usize) -> i32 {
+    let b = &record[4 * axis..4 * axis + 4];
+    i32::from_le_bytes([b[0], b[1], b[2], b[3]])
+}
+
+/// Payloads, or-ed, in the words of [`payload_words`](super::rows::payload_words).
+struct Ored<const WORDS: usize>([u64; WORDS]);
+
+impl<const WORDS: usize> Ored<WORDS> {
+    fn start(word: usize, payload: usize) -> usize {
+        if word + 1 == WORDS { payload - 8 } else { 8 * word }
+    }
+
+    /// Copies a payload and takes it in.
+    #[inline]
+    fn copy(&mut self, from: &[u8], to: &mut [u8]) {
+        for (word, ored) in self.0.iter_mut().enumerate() {
+            let start = Self::start(word, from.len());
+            let mut bytes = [0; 8];
+            bytes.copy_from_slice(&from[start..start + 8]);
+            to[start..start + 8].copy_from_slice(&bytes);
+            *ored |= u64::from_le_bytes(bytes);
+        }
+    }
+
+    fn bytes(&self, payload: usize) -> Vec<u8> {
+        let mut bytes = vec![0; payload];
+        for (word, ored) in self.0.iter().enumerate() {
+            let at = &mut bytes[Self::start(word, payload)..][..8];
+            at.iter_mut().zip(ored.to_le_bytes()).for_each(|(to, from)| *to |= from);
+        }
+        bytes
+    }
+}
+
 /// Are they equal? Number by number: as an array they would be stored apart and loaded together, for which the processor
 /// waits.
 #[inline]
 fn same(a: [u64; 3], b: [u64; 3]) -> bool {
     (a[0] ^ b[0]) | (a[1] ^ b[1]) | (a[2] ^ b[2]) == 0
-}
-
-/// Copies a payload of more than `8 * (WORDS - 1)` bytes and at most `8 * WORDS`; of any size if `WORDS` is 0.
-#[inline]
-fn copy_payload<const WORDS: usize>(from: &[u8], to: &mut [u8]) {
-    if WORDS == 0 {
-        to.copy_from_slice(from);
-        return;
-    }
-    let mut copy = |start: usize| to[start..start + 8].copy_from_slice(&from[start..start + 8]);
-    for word in 0..WORDS - 1 {
-        copy(8 * word);
-    }
-    copy(from.len() - 8);
 }
 
 /// The exponent at which about `wanted` cubes are occupied by a surface with these bounds, and whether row keys must be
@@ -457,4 +560,80 @@ pub(super) fn bucket_exponent(bounds: &LatticeBox, wanted: u64) -> (u8, bool) {
     let largest = if wide { BITS } else { LOW_DIGITS };
     let k = (0..=largest).rev().find(|&k| occupied(k) >= u128::from(wanted)).unwrap_or(0);
     (k, wide)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::SourceGrid;
+    use crate::points::{Attribute, Field};
+    use proptest::prelude::*;
+
+    fn plan(lattice: &Lattice, offset: [f64; 3], payload: usize) -> RowPlan {
+        let grid = SourceGrid::from_f64([0.01, 0.02, 0.01], offset).unwrap();
+        let mut fields = Vec::new();
+        for (i, name) in ["Red", "Green", "Blue"].into_iter().enumerate().filter(|(i, _)| 2 * i + 3 <= payload) {
+            let field = Field { offset: 2 * i + 1, kind: FieldKind::Whole };
+            fields.push((Attribute::new(name, ScalarType::U16), field));
+        }
+        let layout = RecordLayout::new(PositionKind::Grid, payload, fields);
+        RowPlan::new(0, layout, SourceMap::new(&grid, lattice))
+    }
+
+    type Rows = Vec<(Cube, Vec<Vec<u8>>)>;
+
+    fn partitioned(
+        lattice: &Lattice,
+        plan: &RowPlan,
+        k: u8,
+        take: impl FnOnce(&mut Sorter<'_, '_>),
+    ) -> (ScanTally, Rows) {
+        let partition = Partition::new(lattice, None, k, false);
+        let mut sorter = partition.sorter(plan);
+        take(&mut sorter);
+        let tally = sorter.finish().unwrap();
+        let rows = partition.finish().into_iter().map(|bucket| {
+            let bytes = bucket.segments.iter().flat_map(|s| match &s.place {
+                Place::Memory(bytes) => bytes.chunks_exact(8 + plan.layout.payload).map(<[u8]>::to_vec),
+                Place::Spilled { .. } => panic!("nothing is spilled"),
+            });
+            let mut rows: Vec<_> = bytes.collect();
+            assert_eq!(rows.len() as u64, bucket.rows);
+            rows.sort();
+            (bucket.cube, rows)
+        });
+        (tally, rows.collect())
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(60))]
+        #[test]
+        fn blocks_of_records_become_the_rows_that_single_ones_do(
+            n in 0_usize..1200, payload in 1_usize..70, k in 0_u8..=21, spread in 0_u32..32, from: i32, far in 0_usize..400,
+            offset in prop::sample::select(vec![0.0, 500_000.0, 1e10]), seed: u64,
+        ) {
+            let lattice = Lattice::uniform(0.01).unwrap();
+            let plan = plan(&lattice, [offset, 0.0, -offset], payload);
+            prop_assert!(plan.map.as_ref().unwrap().affine().is_some());
+            let mut state = seed | 1;
+            let mut next = || { state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407); (state >> 32) as u32 };
+            let mut records = Vec::new();
+            for i in 0..n {
+                for _ in 0..3 {
+                    // Some far from the others; of some, the coordinates are outside of the lattice.
+                    let x = if far > 0 && i % far == 1 { next() as i32 } else { from.wrapping_add((next() & ((1 << spread) - 1)) as i32) };
+                    records.extend(x.to_le_bytes());
+                }
+                records.extend((0..payload).map(|_| next() as u8));
+            }
+            let fast = partitioned(&lattice, &plan, k, |sorter| sorter.take::<u64>(&records, 1 << 20).unwrap());
+            let naive = partitioned(&lattice, &plan, k, |sorter| {
+                sorter.take_one_by_one::<u64, 0>(&records).unwrap();
+                sorter.tally.read = n as u64;
+            });
+            prop_assert_eq!(format!("{:?}", fast.0), format!("{:?}", naive.0));
+            prop_assert_eq!(fast.0.read, n as u64);
+            prop_assert!(fast.1 == naive.1);
+        }
+    }
 }

@@ -20,8 +20,10 @@ pub(super) trait RowKey: SortKey + Default {
     /// The `bits` bits of the key below digit `k`: a bin number that keeps the order among the points of a cube of
     /// exponent `k`.
     fn bin(self, k: u8, bits: u32) -> usize;
-    /// The key's bits from bit `lowest` on, at most the lowest 64 of them.
-    fn bits_from(self, lowest: u32) -> u64;
+    /// The lowest `bits` bits of the key, at most 63.
+    fn low_bits(self, bits: u32) -> u64;
+    /// The key with other lowest `bits` bits, at most 63: those of `low`, which has no others.
+    fn with_low_bits(self, bits: u32, low: u64) -> Self;
 }
 
 impl RowKey for u64 {
@@ -57,8 +59,13 @@ impl RowKey for u64 {
     }
 
     #[inline]
-    fn bits_from(self, lowest: u32) -> u64 {
-        self.checked_shr(lowest).unwrap_or(0)
+    fn low_bits(self, bits: u32) -> u64 {
+        self & ((1 << bits) - 1)
+    }
+
+    #[inline]
+    fn with_low_bits(self, bits: u32, low: u64) -> Self {
+        self >> bits << bits | low
     }
 }
 
@@ -96,131 +103,58 @@ impl RowKey for Key {
         (joined >> (high_bits + 40).saturating_sub(bits)) as usize
     }
 
-    #[inline]
-    fn bits_from(self, lowest: u32) -> u64 {
-        let high = match lowest.checked_sub(63) {
-            Some(shift) => return self.high.checked_shr(shift).unwrap_or(0) as u64,
-            None => self.high << (63 - lowest),
-        };
-        high as u64 | self.low >> lowest
+    fn low_bits(self, bits: u32) -> u64 {
+        self.low.low_bits(bits)
+    }
+
+    fn with_low_bits(self, bits: u32, low: u64) -> Self {
+        Self { low: self.low.with_low_bits(bits, low), ..self }
     }
 }
 
-/// Sorts `(key, index)` pairs; keeps its buffers.
-#[derive(Debug, Default)]
-pub(super) struct PairSorter<K> {
-    scattered: Vec<(K, u32)>,
-    starts: Vec<u32>,
-}
-
-/// Up to so many pairs the standard library's sort is the fastest.
-const FEW: usize = 64;
-/// Bits of the first scatter. Points lie on surfaces, so about two of three bits tell bins apart.
-const FIRST_BITS: u32 = 12;
-/// Bits of the digits after it.
-const DIGIT_BITS: u32 = 8;
-/// Digits after it, at most.
-const DIGITS: usize = 3;
-/// So many pairs are sorted by insertion.
-const VERY_FEW: usize = 16;
-
-impl<K: RowKey> PairSorter<K> {
-    /// Sorts pairs of one cube of exponent `k` by key: a scatter by the leading bits to bins that fit the first-level
-    /// cache; a radix sort by the next bits in each; the standard library's sort for what agrees in these.
-    pub fn sort(&mut self, pairs: &mut Vec<(K, u32)>, k: u8) {
-        let n = pairs.len();
-        if n <= FEW || k == 0 {
-            pairs.sort_unstable_by_key(|p| p.0);
-            return;
-        }
-        let first_bits = FIRST_BITS.min(3 * u32::from(k)).min(n.ilog2().saturating_sub(3));
-        let starts = &mut self.starts;
-        starts.clear();
-        starts.resize((1 << first_bits) + 1, 0);
-        for (key, _) in pairs.iter() {
-            starts[key.bin(k, first_bits) + 1] += 1;
-        }
-        for i in 0..1 << first_bits {
-            starts[i + 1] += starts[i];
-        }
-        // Every place is overwritten.
-        self.scattered.resize(n.max(self.scattered.len()), pairs[0]);
-        let scattered = &mut self.scattered[..n];
-        for &(key, index) in pairs.iter() {
-            let place = &mut starts[key.bin(k, first_bits)];
-            scattered[*place as usize] = (key, index);
-            *place += 1;
-        }
-        // Each bin's start has become its end, which is the next one's start.
-        let mut start = 0;
-        for &end in &starts[..1 << first_bits] {
-            let bin = start..end as usize;
-            start = bin.end;
-            sort_bin(&mut scattered[bin.clone()], &mut pairs[bin], k, first_bits);
-        }
-        std::mem::swap(pairs, &mut self.scattered);
-        pairs.truncate(n);
+/// Words of 8 bytes, the last two of which may overlap, that a payload of so many bytes is copied as; 0 where bytes are
+/// copied one by one. A call to copy so few bytes takes longer than the copy, so the number is to be a constant where
+/// many are copied.
+pub(super) const fn payload_words(bytes: usize) -> usize {
+    match bytes {
+        8..=64 => bytes.div_ceil(8),
+        _ => 0,
     }
 }
 
-/// Sorts `bin`, whose keys agree in the cube's `known` leading bits; `other` is of the same size, its content is lost.
-fn sort_bin<K: RowKey>(bin: &mut [(K, u32)], other: &mut [(K, u32)], k: u8, known: u32) {
-    let bits = 3 * u32::from(k) - known;
-    if bin.len() <= FEW || bits == 0 {
-        bin.sort_unstable_by_key(|p| p.0);
+/// Calls a function whose last generic parameter is a number of words, with [`payload_words`] of `$bytes` for it.
+macro_rules! with_payload_words {
+    (@ $words:literal, $call:ident [$($generic:ty,)*] $arguments:tt) => {
+        $call::<$($generic,)* $words> $arguments
+    };
+    ($bytes:expr, $call:ident $(::<$($generic:ty),+>)? ($($argument:expr),*)) => {
+        match crate::ingest::rows::payload_words($bytes) {
+            1 => with_payload_words!(@ 1, $call [$($($generic,)+)?] ($($argument),*)),
+            2 => with_payload_words!(@ 2, $call [$($($generic,)+)?] ($($argument),*)),
+            3 => with_payload_words!(@ 3, $call [$($($generic,)+)?] ($($argument),*)),
+            4 => with_payload_words!(@ 4, $call [$($($generic,)+)?] ($($argument),*)),
+            5 => with_payload_words!(@ 5, $call [$($($generic,)+)?] ($($argument),*)),
+            6 => with_payload_words!(@ 6, $call [$($($generic,)+)?] ($($argument),*)),
+            7 => with_payload_words!(@ 7, $call [$($($generic,)+)?] ($($argument),*)),
+            8 => with_payload_words!(@ 8, $call [$($($generic,)+)?] ($($argument),*)),
+            _ => with_payload_words!(@ 0, $call [$($($generic,)+)?] ($($argument),*)),
+        }
+    };
+}
+pub(super) use with_payload_words;
+
+/// Copies a payload of [`payload_words`] `WORDS`.
+#[inline]
+pub(super) fn copy_payload<const WORDS: usize>(from: &[u8], to: &mut [u8]) {
+    if WORDS == 0 {
+        to.copy_from_slice(from);
         return;
     }
-    // Digits from the finest on, each sort stable; so many that, on a surface, few pairs agree in all of them.
-    let telling = (3 * bin.len().ilog2() / 2 + 1).min(bits);
-    let digits = (telling.div_ceil(DIGIT_BITS) as usize).min(DIGITS);
-    let lowest = bits.saturating_sub(DIGIT_BITS * digits as u32);
-    let digit = |key: K, i: usize| key.bits_from(lowest + DIGIT_BITS * i as u32) as usize & ((1 << DIGIT_BITS) - 1);
-    let mut counts = [[0_u32; 1 << DIGIT_BITS]; DIGITS];
-    for (key, _) in bin.iter() {
-        for (i, counts) in counts[..digits].iter_mut().enumerate() {
-            counts[digit(*key, i)] += 1;
-        }
+    let mut copy = |start: usize| to[start..start + 8].copy_from_slice(&from[start..start + 8]);
+    for word in 0..WORDS - 1 {
+        copy(8 * word);
     }
-    // Above the known bits nothing differs, so the last digit may reach beyond them.
-    let (mut from, mut to) = (&mut *bin, &mut *other);
-    let mut swapped = false;
-    for (i, counts) in counts[..digits].iter_mut().enumerate() {
-        let mut place = 0;
-        for count in counts.iter_mut() {
-            place += std::mem::replace(count, place);
-        }
-        for &(key, index) in from.iter() {
-            let place = &mut counts[digit(key, i)];
-            to[*place as usize] = (key, index);
-            *place += 1;
-        }
-        std::mem::swap(&mut from, &mut to);
-        swapped = !swapped;
-    }
-    if swapped {
-        bin.copy_from_slice(other);
-    }
-    if lowest > 0 {
-        for run in bin.chunk_by_mut(|a, b| a.0.bits_from(lowest) == b.0.bits_from(lowest)) {
-            if run.len() > VERY_FEW {
-                run.sort_unstable_by_key(|p| p.0);
-            } else {
-                sort_by_insertion(run);
-            }
-        }
-    }
-}
-
-fn sort_by_insertion<K: RowKey>(run: &mut [(K, u32)]) {
-    for end in 1..run.len() {
-        let pair = run[end];
-        let mut place = end;
-        while place > 0 && pair.0 < run[place - 1].0 {
-            run[place] = run[place - 1];
-            place -= 1;
-        }
-        run[place] = pair;
-    }
+    copy(from.len() - 8);
 }
 
 #[cfg(test)]
@@ -230,35 +164,6 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(40))]
-        #[test]
-        fn sorting_pairs_is_sorting(
-            k in 0_u8..=21, low in 0_u64..1 << 48, spread in 1_u64..1 << 21, n in 1_usize..20_000, earlier in 1_usize..20_000, seed in any::<u64>(),
-        ) {
-            let cube = Cube::containing(LatticePoint([low, low / 3, low / 7]), k);
-            let mut state = seed | 1;
-            let mut next = || { state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407); state >> 33 };
-            let points: Vec<_> = (0..n)
-                .map(|_| LatticePoint(cube.low().0.map(|c| c + (next() % spread.min(cube.side())))))
-                .collect();
-            let narrow: Vec<_> = (0..).zip(&points).map(|(i, &p)| (<u64 as RowKey>::of(p), i)).collect();
-            let wide: Vec<_> = (0..).zip(&points).map(|(i, &p)| (<Key as RowKey>::of(p), i)).collect();
-            let mut expected: Vec<_> = points.iter().map(|&p| Key::of(p)).collect();
-            expected.sort_unstable();
-            let (mut narrow, mut wide) = (narrow, wide);
-            let (mut narrow_sorter, mut wide_sorter) = (PairSorter::default(), PairSorter::default());
-            // What a sorter keeps from other pairs must not matter.
-            narrow_sorter.sort(&mut narrow[..earlier.min(n)].to_vec(), k);
-            narrow_sorter.sort(&mut narrow, k);
-            wide_sorter.sort(&mut wide, k);
-            prop_assert!(narrow.len() == n && wide.len() == n);
-            for i in 0..n {
-                prop_assert_eq!(narrow[i].0.full(cube.first_key()), expected[i]);
-                prop_assert_eq!(wide[i].0, expected[i]);
-                prop_assert_eq!(Key::of(points[narrow[i].1 as usize]), expected[i]);
-            }
-        }
-
         #[test]
         fn bins_of_wide_keys_keep_the_order(
             a in prop::array::uniform3(0_u64..1 << 48), b in prop::array::uniform3(0_u64..1 << 48), k in 22_u8..=48, bits in 1_u32..=16,
@@ -270,6 +175,9 @@ mod tests {
             if ka < kb {
                 prop_assert!(ka.bin(k, bits) <= kb.bin(k, bits));
             }
+            let bits = bits.min(63);
+            prop_assert_eq!(ka.with_low_bits(bits, ka.low_bits(bits)), ka);
+            prop_assert_eq!(kb.with_low_bits(bits, ka.low_bits(bits)).low_bits(bits), ka.low_bits(bits));
         }
     }
 }

@@ -19,8 +19,8 @@ pub(super) struct Budget {
     pub buckets: u64,
     /// Rows of a bucket at most.
     pub bucket_rows: u64,
-    /// Encoded nodes that may wait for the writer.
-    pub queue: usize,
+    /// Bytes of encoded nodes that may wait for the writer.
+    pub queue_bytes: usize,
 }
 
 impl Budget {
@@ -30,10 +30,10 @@ impl Budget {
         // Beside the rows themselves, jobs and the writer's queue need room; the rest is left to SQLite and the readers.
         let temp_bytes = if total_bytes <= memory / 2 { 0 } else { total_bytes };
         let threads = threads.max(1) as u64;
-        // A job holds its rows, if they come back from the file, their keys three times while they are sorted, and what it
-        // encodes.
+        // A job holds its rows up to three times (from the file, in bins, in order), their keys twice while they are sorted,
+        // and what it encodes.
         let job_bytes = (memory / 4 / threads).max(1 << 20);
-        let bucket_rows = (job_bytes / (2 * row_bytes + 48)).clamp(1 << 12, 1 << 22);
+        let bucket_rows = (job_bytes / (3 * row_bytes + 48)).clamp(1 << 12, 1 << 22);
         let piece_bytes = (memory / 8 / threads).clamp(1 << 20, 16 << 20);
         Self {
             temp_bytes,
@@ -41,7 +41,7 @@ impl Budget {
             open_bytes: piece_bytes as usize,
             buckets: rows.div_ceil(BUCKET_ROWS.min(bucket_rows / 2).max(1)),
             bucket_rows,
-            queue: usize::try_from((memory >> 24).clamp(2, 32)).unwrap_or(2),
+            queue_bytes: (memory / 16).clamp(1 << 20, 64 << 20) as usize,
         }
     }
 }
@@ -97,7 +97,7 @@ mod tests {
         assert_eq!(small.temp_bytes, 0);
         let large = Budget::new(256 << 20, 20_000_000, 640_000_000, 2);
         assert_eq!(large.temp_bytes, 640_000_000);
-        assert!(large.bucket_rows * (2 * 32 + 48) * 2 <= 256 << 20);
+        assert!(large.bucket_rows * (3 * 32 + 48) * 2 <= 256 << 20);
         assert!(Budget::new(1 << 20, 1, 40, 64).piece_records > 0);
     }
 }

@@ -6,15 +6,14 @@ use super::build::{Plan, Sink, build};
 use super::context::Context;
 use super::gather::ScanColumns;
 use super::partition::{Bucket, Partition, bucket_exponent};
+use super::queue::Queue;
 use super::rows::RowKey;
 use super::spill::Spill;
 use super::subtrees::with_subtrees;
 use crate::lattice::{Cube, Key, Lattice, LatticeBox};
 use crate::octree::Params;
 use crate::store::model::{NodeHead, Site, Zones};
-use crate::store::{EncodedNode, ScanTable, Writer};
-use std::sync::Mutex;
-use std::sync::mpsc::sync_channel;
+use crate::store::{ChunkIds, EncodedNode, ScanTable, StoreError, Writer};
 
 /// Where rows wait for their nodes: memory, or one temporary file.
 pub(super) struct Room {
@@ -100,24 +99,28 @@ impl Room {
         layer: &Layer<'_>,
         buckets: Vec<Bucket>,
     ) -> Result<Vec<(NodeHead, Zones)>, IngestError> {
-        let (sender, receiver) = sync_channel::<EncodedNode>(self.budget.queue);
-        let sender = Mutex::new(sender);
+        let queue = Queue::new(self.budget.queue_bytes);
         let nodes = std::thread::scope(|scope| {
-            let writing = scope.spawn(move || {
+            let writing = scope.spawn(|| {
+                let _leaves = queue.leaves();
                 let mut heads = Vec::new();
-                for node in receiver {
+                while let Some(mut node) = queue.pop() {
+                    node.renumber(&layer.ids);
                     writer.put_chunks(&node.chunks)?;
                     heads.push((node.head, node.zones));
                 }
-                Ok::<_, crate::store::StoreError>(heads)
+                Ok::<_, StoreError>(heads)
             });
+            let ends = queue.ends();
             let sink = |node: EncodedNode| {
-                let sender = sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner).clone();
-                // The writer only stops listening when it has failed, and says why when it is joined.
-                sender.send(node).map_err(|_| IngestError::Internal("the writer has stopped".into()))
+                // The writer only stops taking when it has failed, and says why when it is joined.
+                let taken = queue.push(node);
+                taken.then_some(()).ok_or_else(|| IngestError::Internal("the writer has stopped".into()))
             };
-            let built = self.build(context, layer, buckets, Sink::Encoded(&sink));
-            drop(sender);
+            let Layer { layer, params, root, scans, table, .. } = *layer;
+            let unnumbered = Layer { layer, params, root, scans, table, ids: ChunkIds::default() };
+            let built = self.build(context, &unnumbered, buckets, Sink::Encoded(&sink));
+            drop(ends);
             let written = writing.join().map_err(|_| IngestError::Internal("the writer broke down".into()))?;
             match (built, written) {
                 (_, Err(error)) => Err(error.into()),
@@ -137,7 +140,7 @@ pub(super) struct Layer<'a> {
     pub root: Cube,
     pub scans: &'a [ScanColumns<'a>],
     pub table: &'a ScanTable,
-    pub ids: crate::store::ChunkIds,
+    pub ids: ChunkIds,
 }
 
 /// The parameters of a site's trees.

@@ -25,6 +25,7 @@ mod merge;
 mod naming;
 mod partition;
 mod progress;
+mod queue;
 mod reading;
 mod report;
 mod rows;

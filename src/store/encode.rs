@@ -143,6 +143,16 @@ pub struct EncodedNode {
     pub chunks: Vec<ChunkRow>,
 }
 
+impl EncodedNode {
+    /// Gives the chunk rows new ids. Nodes that are numbered when they are written, and not when they are encoded, are
+    /// always appended to the table: rows that go between others split pages, which stay half empty.
+    pub fn renumber(&mut self, ids: &ChunkIds) {
+        let base = ids.reserve(self.head.parts.len());
+        self.chunks.iter_mut().for_each(|chunk| chunk.id += base - self.head.chunk_base);
+        self.head.chunk_base = base;
+    }
+}
+
 /// What encoding keeps from node to node; one per thread.
 #[derive(Debug, Default)]
 pub struct EncodeScratch {

@@ -94,6 +94,11 @@ pub trait PointSource: Send + Sync {
     /// no more.
     fn pieces(&self, target_records: u64) -> Vec<Piece>;
 
+    /// Where the first record begins, if what [`PointSource::read`] gives are the file's own bytes, record after record.
+    fn verbatim_from(&self) -> Option<u64> {
+        None
+    }
+
     /// Reads the records of a piece in order, giving them to `sink` in runs of whole records of
     /// `info().layout.stride()` bytes each, at most about 1 MiB at a time. `sink` returns false to stop early.
     ///

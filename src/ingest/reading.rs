@@ -3,7 +3,7 @@
 
 use super::IngestError;
 use super::budget::Budget;
-use super::identity::content_hash;
+use super::identity::{PieceHash, content_hash};
 use super::partition::{Partition, RowPlan, ScanTally, Sorter};
 use super::progress::Progress;
 use super::rows::RowKey;
@@ -38,14 +38,22 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// For a source whose bytes are not yet known, and are read as they are.
+fn piece_hash(source: &Source) -> Option<PieceHash> {
+    let asked = source.content.is_none() && source.reader.verbatim_from().is_some();
+    asked.then(|| PieceHash::new(source.bytes))
+}
+
 impl Reading<'_> {
     /// Reads everything.
     pub fn read<K: RowKey>(&self, partition: &Partition<'_>, budget: &Budget) -> Result<Read, IngestError> {
         let contents: Vec<_> = self.sources.iter().map(|s| Mutex::new(s.content)).collect();
         let tallies: Vec<_> = self.sources.iter().map(|_| Mutex::new(ScanTally::default())).collect();
-        // Hashes first: they are the longest tasks.
-        let mut tasks: Vec<_> =
-            (0..self.sources.len()).filter(|&i| self.sources[i].content.is_none()).map(Task::Hash).collect();
+        // Of some sources the bytes are hashed as they are read.
+        let hashes: Vec<_> = self.sources.iter().map(piece_hash).collect();
+        // The other hashes first: they are the longest tasks.
+        let unknown = |&i: &usize| self.sources[i].content.is_none() && hashes[i].is_none();
+        let mut tasks: Vec<_> = (0..self.sources.len()).filter(unknown).map(Task::Hash).collect();
         for (i, source) in self.sources.iter().enumerate() {
             tasks.extend(source.reader.pieces(budget.piece_records).into_iter().map(|p| Task::Piece(i, p)));
         }
@@ -77,7 +85,8 @@ impl Reading<'_> {
                         }
                         let plan = &self.plans[*i];
                         let (_, sorter) = current.get_or_insert_with(|| (*i, partition.sorter(plan)));
-                        let truncated = self.piece::<K>(sorter, &self.sources[*i], *piece, budget.open_bytes)?;
+                        let hash = hashes[*i].as_ref();
+                        let truncated = self.piece::<K>(sorter, &self.sources[*i], *piece, hash, budget.open_bytes)?;
                         lock(&tallies[*i]).rejected.truncated += truncated;
                     }
                 }
@@ -103,8 +112,14 @@ impl Reading<'_> {
             tally.rejected.truncated += source.reader.info().missing;
             read.tallies.push(tally);
         }
-        for content in contents {
-            let content = content.into_inner().unwrap_or_else(PoisonError::into_inner);
+        for ((content, hash), source) in contents.into_iter().zip(hashes).zip(self.sources) {
+            let content = match hash {
+                Some(hash) => {
+                    let hash = hash.finish(&source.reader.info().path, &|| self.progress.cancelled())?;
+                    Some(hash.ok_or(IngestError::Interrupted)?)
+                }
+                None => content.into_inner().unwrap_or_else(PoisonError::into_inner),
+            };
             read.contents.push(content.ok_or_else(|| IngestError::Internal("a source without a hash".into()))?);
         }
         Ok(read)
@@ -116,14 +131,20 @@ impl Reading<'_> {
         sorter: &mut Sorter<'_, '_>,
         source: &Source,
         piece: Piece,
+        hash: Option<&PieceHash>,
         open_bytes: usize,
     ) -> Result<u64, IngestError> {
         let stride = source.reader.info().layout.stride();
+        let start = source.reader.verbatim_from().map(|start| start + piece.first * stride as u64);
+        let mut blocks = hash.zip(start).map(|(hash, start)| hash.piece(start));
         let mut failure = None;
         let given = source.reader.read(piece, &mut |records| {
             if self.progress.cancelled() {
                 failure = Some(IngestError::Interrupted);
                 return false;
+            }
+            if let Some(blocks) = &mut blocks {
+                blocks.update(records);
             }
             if let Err(error) = sorter.take::<K>(records, open_bytes) {
                 failure = Some(error);

@@ -10,8 +10,8 @@ use crate::formats::file::SourceFile;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::points::LasFacts;
 
-/// Bytes given to a sink at a time.
-pub(super) const RUN_BYTES: usize = 1 << 20;
+/// Bytes given to a sink at a time: few enough that they stay in a core's second cache until they are taken.
+pub(super) const RUN_BYTES: usize = 256 << 10;
 
 /// An open LAS, LAZ or COPC file.
 pub struct LasSource {
@@ -132,6 +132,13 @@ impl PointSource for LasSource {
         match &self.points {
             Points::Plain(_) => even_pieces(self.info.records, target_records),
             Points::Laz(_, chunks) => chunks.pieces(target_records),
+        }
+    }
+
+    fn verbatim_from(&self) -> Option<u64> {
+        match self.points {
+            Points::Plain(start) => Some(start),
+            Points::Laz(..) => None,
         }
     }
 

@@ -114,6 +114,13 @@ mod tests {
                 })
                 .collect();
             prop_assert_eq!(steps(&keys, &wins), naive.clone());
+            // Points of one win alone, as an inner node has them.
+            for win in -1..=48 {
+                let of_win = || (0..keys.len()).filter(|&i| wins[i] == win);
+                let some: Vec<_> = of_win().map(|i| keys[i]).collect();
+                let expected: Vec<_> = of_win().map(|i| naive[i]).collect();
+                prop_assert_eq!(steps(&some, &vec![win; some.len()]), expected);
+            }
             // Truncated keys serve where the points share the digits above.
             let span = points.iter().fold(0, |s, p| (0..3).fold(s, |s, i| s | p.0[i] ^ points[0].0[i]));
             if span < 1 << 21 {

@@ -3,7 +3,7 @@
 use crate::formats::{LasTarget, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, LatticeBox, LatticePoint};
-use crate::points::LasFacts;
+use crate::points::{Batch, Column, LasFacts};
 use crate::query::OutputForm;
 use crate::store::Snapshot;
 use crate::store::model::Scan;
@@ -121,4 +121,23 @@ fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) 
         }
     }
     bail!("it does not fit")
+}
+
+/// Brings colours of 8 bits to 16, where both meet.
+pub(super) fn deepen(batch: &mut Batch, planned: &Planned) {
+    if planned.brighten.is_empty() {
+        return;
+    }
+    let names: Vec<usize> = (0..batch.attributes.len())
+        .filter(|&i| ["Red", "Green", "Blue", "Infrared"].contains(&batch.attributes[i].name.as_str()))
+        .collect();
+    for i in names {
+        if let Column::U16(values) = &mut batch.columns[i] {
+            for (value, scan) in values.iter_mut().zip(&batch.scans) {
+                if planned.brighten.binary_search(scan).is_ok() {
+                    *value = value.saturating_mul(257);
+                }
+            }
+        }
+    }
 }

@@ -1,17 +1,21 @@
 //! `esker query`: points out, by region, filter and detail.
 
-use super::output_plan::{Planned, plan};
+mod region;
+mod split;
+
+use super::output_plan::{Planned, deepen, plan};
 use super::scan_frame::ScanFrame;
 use super::{Outcome, output, values};
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
 use crate::geometry::Camera;
-use crate::points::{Batch, Column};
+use crate::points::Attribute;
 use crate::query::{Answer, AttributeSummary, Detail, Filter, Query, Region};
 use crate::store::{Limits, Snapshot, Store};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Takes points out of a store: exactly those asked for, at the detail asked for, with the error stated.
 ///
@@ -20,27 +24,27 @@ use std::path::{Path, PathBuf};
 #[command(
     allow_negative_numbers = true,
     after_help = "Examples:\n  esker query site.esker --box 500000,5000000,500050,5000050 -o corner.laz\n  \
+                  esker query site.esker --polygon plots.geojson --z 120,inf -o plots.laz\n  \
+                  esker query site.esker --polygon 'POLYGON((0 0, 50 0, 50 30, 0 0))' --count\n  \
+                  esker query site.esker --obox 500010,5000020,130,40,8,10,30 -o street.las\n  \
+                  esker query site.esker --region 'polygon(plot.wkt) and not sphere(10,20,3,5)' -o rest.npy\n  \
+                  esker query site.esker --frustum view.json --where 'Classification = 6' -o seen.laz\n  \
                   esker query site.esker --where 'Classification = 2 and Intensity > 100' -o ground.las\n  \
                   esker query site.esker --sphere 500010,5000020,130,5 --attributes Red,Green,Blue -o tree.ply\n  \
                   esker query site.esker --max-error 0.05 -o overview.laz\n  \
                   esker query site.esker --capacity 100000 -o - --format csv | head\n  \
-                  esker query site.esker --scan north --count\n  \
+                  esker query site.esker --view view.json --capacity 2M -o view.laz\n  \
+                  esker query site.esker --split-by class -o out.laz\n  \
                   esker query site.esker --scan north --frame scan -o north_local.las\n\n\
-                  Boxes are half-open: a point on a maximum face is outside; `inf` is a number. Filters compare \
-                  attributes with numbers (= <> < <= > >=, between, in, is null, and, or, not), `scan` with names."
+                  Boxes and polygons are half-open: neighbours share no point; `inf` is a number. Several --polygon are \
+                  united, as are several of any kind; --polygon with --z is what is in both. Filters compare attributes with \
+                  numbers (= <> < <= > >=, between, in, is null, and, or, not), `scan` with names."
 )]
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
-    /// X0,Y0,X1,Y1 in plan or X0,Y0,Z0,X1,Y1,Z1.
-    #[arg(long = "box", value_name = "NUMBERS", allow_hyphen_values = true, conflicts_with = "sphere")]
-    cuboid: Option<String>,
-    /// Take points on the box's maximum faces, too.
-    #[arg(long, requires = "cuboid")]
-    closed: bool,
-    /// X,Y,Z,R.
-    #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
-    sphere: Option<String>,
+    #[command(flatten)]
+    place: region::Where,
     /// What a camera needs: a view file in JSON.
     #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["max_error", "spacing", "level"])]
     view: Option<PathBuf>,
@@ -68,7 +72,7 @@ pub(super) struct Arguments {
     /// Only these attributes, separated by commas; `none` for positions alone.
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     attributes: Vec<String>,
-    /// Where to: a file ending in .las, .laz, .ply or .csv, or - for stdout.
+    /// Where to: a file ending in .las, .laz, .ply, .csv, .npy or .npz, or - for stdout.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The form of the output, if its name doesn't say.
@@ -81,7 +85,7 @@ pub(super) struct Arguments {
     /// (regions and filters are always the world's).
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Frame::World, requires = "output")]
     frame: Frame,
-    /// One file per scan: `out.las` becomes `out_NAME.las`.
+    /// One file per scan, `out_NAME.las` for `out.las`, or per class, `out_class2.las`.
     #[arg(long, value_enum, value_name = "WHAT", requires = "output")]
     split_by: Option<SplitBy>,
     /// Replace an existing file.
@@ -101,11 +105,14 @@ enum Format {
     Laz,
     Ply,
     Csv,
+    Npy,
+    Npz,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SplitBy {
     Scan,
+    Class,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -121,6 +128,8 @@ impl From<Format> for OutputFormat {
             Format::Laz => Self::Laz,
             Format::Ply => Self::Ply,
             Format::Csv => Self::Csv,
+            Format::Npy => Self::Npy,
+            Format::Npz => Self::Npz,
         }
     }
 }
@@ -134,17 +143,18 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     }
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
-    let query = query(arguments, &snapshot)?;
+    let region = arguments.place.region(&snapshot.site().lattice)?;
+    let query = query(arguments, region.clone())?;
     if arguments.count {
         let answer = query.count(&snapshot)?;
-        warn(arguments, &snapshot, &answer)?;
+        warn(arguments, &snapshot, &region, &answer)?;
         output::line(answer.points)?;
         return Ok(Outcome::Done);
     }
     match target {
         None => {
             let (answer, summary) = summarise(&query, &snapshot)?;
-            warn(arguments, &snapshot, &answer)?;
+            warn(arguments, &snapshot, &region, &answer)?;
             if arguments.json {
                 let mut value = serde_json::to_value(&answer)?;
                 value["attributes"] = serde_json::to_value(&summary)?;
@@ -154,15 +164,15 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             }
         }
         Some((path, format)) => {
-            let answers = if arguments.split_by.is_some() {
-                split(arguments, &snapshot, &query, path, format)?
-            } else {
-                vec![(path.to_owned(), write(arguments, &snapshot, &query, path, format)?)]
+            let Some(by) = arguments.split_by else {
+                let answer = write(arguments, &snapshot, &query, path, format)?;
+                warn(arguments, &snapshot, &region, &answer)?;
+                report(arguments, path, &answer)?;
+                return Ok(Outcome::Done);
             };
-            for (path, answer) in &answers {
-                warn(arguments, &snapshot, answer)?;
-                report(arguments, path, answer)?;
-            }
+            let (files, answer) = split::split(arguments, &snapshot, &query, path, format, by)?;
+            warn(arguments, &snapshot, &region, &answer)?;
+            report_files(arguments, &files, &answer)?;
         }
     }
     Ok(Outcome::Done)
@@ -175,22 +185,14 @@ fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
     OutputFormat::of_extension(ending).with_context(|| {
         format!(
-            "{}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply or .csv, or --format",
+            "{}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply, .csv, .npy or .npz, or --format",
             path.display()
         )
     })
 }
 
-fn query(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Query> {
-    let mut query = Query::new();
-    if let Some(text) = &arguments.cuboid {
-        let region = Region::parse_box(text)?;
-        let region = if arguments.closed { region.closed_on(&snapshot.site().lattice) } else { region };
-        query = query.region(region);
-    }
-    if let Some(text) = &arguments.sphere {
-        query = query.region(Region::parse_sphere(text)?);
-    }
+fn query(arguments: &Arguments, region: Region) -> anyhow::Result<Query> {
+    let mut query = Query::new().region(region);
     if let Some(text) = &arguments.filter {
         query = query.filter(Filter::parse(text)?);
     }
@@ -226,7 +228,7 @@ pub(super) fn read_view(path: &Path) -> anyhow::Result<Camera> {
 }
 
 /// Says what a user may not expect: a region beside the site, points on the faces that a half-open box leaves out.
-fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::Result<()> {
+fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &Answer) -> anyhow::Result<()> {
     if answer.region_misses_site {
         let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
         if let Some(bounds) = bounds {
@@ -237,14 +239,13 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, answer: &Answer) -> anyhow::
             );
         }
     }
-    if arguments.closed {
+    if arguments.place.closed || !matches!(region, Region::Box { .. }) {
         return Ok(());
     }
-    let Some(text) = &arguments.cuboid else { return Ok(()) };
     let on_faces = match answer.on_maximum_faces {
         Some(counted) => counted,
         None => {
-            let everything = Query::new().region(Region::parse_box(text)?).count(snapshot)?;
+            let everything = Query::new().region(region.clone()).count(snapshot)?;
             everything.on_maximum_faces.unwrap_or(0)
         }
     };
@@ -318,35 +319,36 @@ fn report(arguments: &Arguments, path: &Path, answer: &Answer) -> anyhow::Result
     Ok(())
 }
 
-fn split(
-    arguments: &Arguments,
-    snapshot: &Snapshot,
-    query: &Query,
-    path: &Path,
-    format: OutputFormat,
-) -> anyhow::Result<Vec<(PathBuf, Answer)>> {
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let ending = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
-    let mut answers = Vec::new();
-    for id in query.output_form(snapshot)?.scans {
-        let Some(scan) = snapshot.scan(id) else { continue };
-        let name: String =
-            scan.name.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect();
-        let file = path.with_file_name(format!("{stem}_{name}{ending}"));
-        let one = query.clone().scans([id.to_string()]);
-        let answer = write(arguments, snapshot, &one, &file, format)?;
-        answers.push((file, answer));
+fn report_files(arguments: &Arguments, files: &[(PathBuf, u64)], answer: &Answer) -> anyhow::Result<()> {
+    if arguments.json {
+        let mut value = serde_json::to_value(answer)?;
+        let file =
+            |(path, points): &(PathBuf, u64)| serde_json::json!({"path": path.display().to_string(), "points": points});
+        value["outputs"] = files.iter().map(file).collect();
+        return Ok(output::json(&value)?);
     }
-    Ok(answers)
+    for (path, points) in files {
+        output::line(format_args!("{}: {} points", path.display(), output::grouped(*points)))?;
+    }
+    output::line(format_args!("{} points in all, error bound {}", output::grouped(answer.points), bound(answer)))?;
+    Ok(())
 }
 
-fn write(
+/// What is decided of a file before its first point.
+struct Output {
+    attributes: Arc<[Attribute]>,
+    planned: Planned,
+    frame: Option<ScanFrame>,
+}
+
+/// Begins a file for the answer to a query.
+fn output_of(
     arguments: &Arguments,
     snapshot: &Snapshot,
     query: &Query,
     path: &Path,
     format: OutputFormat,
-) -> anyhow::Result<Answer> {
+) -> anyhow::Result<(Output, Box<dyn PointWriter>)> {
     let form = query.output_form(snapshot)?;
     let frame = (arguments.frame == Frame::Scan).then(|| ScanFrame::of(snapshot, &form)).transpose()?;
     let mut planned = plan(snapshot, &form, arguments.attributes.is_empty(), arguments.scale)?;
@@ -361,11 +363,22 @@ fn write(
         standard_gps_time: planned.standard_gps_time,
         ..CreateOptions::default()
     };
-    let mut writer: Box<dyn PointWriter> = if path == Path::new("-") {
+    let writer = if path == Path::new("-") {
         create_standard_output(format, &planned.plan, &options)?
     } else {
         create(path, format, &planned.plan, &options)?
     };
+    Ok((Output { attributes: form.attributes, planned, frame }, writer))
+}
+
+fn write(
+    arguments: &Arguments,
+    snapshot: &Snapshot,
+    query: &Query,
+    path: &Path,
+    format: OutputFormat,
+) -> anyhow::Result<Answer> {
+    let (Output { planned, frame, .. }, mut writer) = output_of(arguments, snapshot, query, path, format)?;
     let query = query.clone().with_scans(!planned.brighten.is_empty());
     let mut failure = None;
     let answer = query.run(snapshot, |mut batch| {
@@ -386,23 +399,4 @@ fn write(
         eprintln!("esker: {}", output::clean(&note));
     }
     Ok(answer)
-}
-
-/// Brings colours of 8 bits to 16, where both meet.
-pub(super) fn deepen(batch: &mut Batch, planned: &Planned) {
-    if planned.brighten.is_empty() {
-        return;
-    }
-    let names: Vec<usize> = (0..batch.attributes.len())
-        .filter(|&i| ["Red", "Green", "Blue", "Infrared"].contains(&batch.attributes[i].name.as_str()))
-        .collect();
-    for i in names {
-        if let Column::U16(values) = &mut batch.columns[i] {
-            for (value, scan) in values.iter_mut().zip(&batch.scans) {
-                if planned.brighten.binary_search(scan).is_ok() {
-                    *value = value.saturating_mul(257);
-                }
-            }
-        }
-    }
 }

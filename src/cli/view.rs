@@ -1,7 +1,7 @@
 //! `esker view`: the window.
 
-use super::output_plan::plan;
-use super::{Outcome, query};
+use super::Outcome;
+use super::output_plan::{deepen, plan};
 use crate::formats::{CreateOptions, OutputFormat, create};
 use crate::geometry::WorldBox;
 use crate::query::{Query, Region};
@@ -65,7 +65,7 @@ fn export(snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path)
     let query = query.with_scans(!planned.brighten.is_empty());
     let mut failure = None;
     let answer = query.run(snapshot, |mut batch| {
-        query::deepen(&mut batch, &planned);
+        deepen(&mut batch, &planned);
         match writer.write(&batch) {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {

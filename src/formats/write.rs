@@ -4,6 +4,7 @@ mod csv;
 mod destination;
 mod las;
 mod number;
+mod numpy;
 mod ply;
 mod rows;
 
@@ -16,6 +17,7 @@ use crate::points::{Attribute, Batch, Crs, LasFacts};
 use csv::{CsvSink, CsvWriter};
 use destination::Destination;
 use las::{LasOptions, LasWriter};
+use numpy::{NpyWriter, NpzWriter};
 use ply::PlyWriter;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -29,6 +31,8 @@ pub enum OutputFormat {
     Laz,
     Ply,
     Csv,
+    Npy,
+    Npz,
 }
 
 impl OutputFormat {
@@ -39,6 +43,8 @@ impl OutputFormat {
             "laz" => Some(Self::Laz),
             "ply" => Some(Self::Ply),
             "csv" => Some(Self::Csv),
+            "npy" => Some(Self::Npy),
+            "npz" => Some(Self::Npz),
             _ => None,
         }
     }
@@ -150,6 +156,8 @@ fn create_counted(
 ) -> Result<Box<dyn PointWriter>, FormatError> {
     Ok(match format {
         OutputFormat::Ply => checked(shown, plan, PlyWriter::create(destination, file, plan)?),
+        OutputFormat::Npy => checked(shown, plan, NpyWriter::create(destination, file, plan)?),
+        OutputFormat::Npz => checked(shown, plan, NpzWriter::create(destination, file, plan)?),
         _ => checked(shown, plan, LasWriter::create(destination, file, plan, options.las(format))?),
     })
 }

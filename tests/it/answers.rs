@@ -172,7 +172,7 @@ fn regions_with_filters_equal_brute_force() {
 }
 
 /// The largest distance from a point of `all` to the nearest of `some`, cut at a little more than `limit`.
-fn hausdorff(lattice: &Lattice, all: &[LatticePoint], some: &[LatticePoint], limit: f64) -> f64 {
+pub fn hausdorff(lattice: &Lattice, all: &[LatticePoint], some: &[LatticePoint], limit: f64) -> f64 {
     let cell = limit.max(1e-9);
     let at = |p: &LatticePoint| lattice.world_from_lattice(*p);
     let of = |w: [f64; 3]| w.map(|c| (c / cell).floor() as i64);

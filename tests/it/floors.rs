@@ -44,6 +44,7 @@ const OWNERS: &[(&str, &[&str])] = &[
     ("laz", &["formats"]),
     ("e57", &["formats"]),
     ("geojson", &["query"]),
+    ("zip", &["formats"]),
     ("png", &["render"]),
     ("clap", &["cli"]),
     ("anyhow", &["cli"]),

@@ -2,8 +2,10 @@
 
 mod answers;
 mod bad_input;
+mod bad_queries;
 mod canonical;
 mod changes;
+mod combinations;
 mod engine;
 mod faults;
 mod fidelity;

@@ -75,6 +75,13 @@ impl Destination {
         Ok((Self { shown, path: None, temporary, force: false }, file))
     }
 
+    /// A new, empty file beside this one for what is collected meanwhile; it is removed when it is dropped.
+    pub fn scratch(&self) -> Result<(Self, File), FormatError> {
+        let folder = self.temporary.parent().unwrap_or(Path::new("."));
+        let (temporary, file) = temporary_file(folder, &self.shown)?;
+        Ok((Self { shown: self.shown.clone(), path: None, temporary, force: false }, file))
+    }
+
     /// What messages call it.
     pub fn shown(&self) -> &Path {
         &self.shown

@@ -224,3 +224,39 @@ fn our_own_reader_gives_a_ply_file_back() {
     }
     assert_eq!(rows[..8], WORLDS[0][0].to_le_bytes());
 }
+
+#[test]
+fn numpy_arrays_have_a_field_per_attribute_and_the_count_of_all_batches() {
+    let mut height = Attribute::new("height", ScalarType::I16);
+    height.scaling = Some(Scaling { scale: 0.5, offset: 1.0 });
+    height.no_data = Some([0xFF; 8]);
+    let plan = plan(vec![Attribute::new("it's", ScalarType::U16), height, Attribute::new("X", ScalarType::U8)]);
+    let columns = || vec![Column::U16(vec![0, 1, 65_535]), Column::I16(vec![3, -1, -7]), Column::U8(vec![7, 8, 9])];
+    let batches = [batch(&plan, &WORLDS, columns()), batch(&plan, &WORLDS, columns())];
+    let (bytes, notes) = written(OutputFormat::Npy, &plan, &batches).unwrap();
+    assert_eq!(&bytes[..8], b"\x93NUMPY\x03\x00");
+    let end = 12 + u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
+    assert!(end.is_multiple_of(64) && bytes[end - 1] == b'\n');
+    let head = String::from_utf8(bytes[12..end].to_vec()).unwrap();
+    let expected = "{'descr': [('X', '<f8'), ('Y', '<f8'), ('Z', '<f8'), ('it\\'s', '<u2'), ('height', '<f8'), ('X.2', '|u1')], \
+                    'fortran_order': False, 'shape': (6,), }";
+    assert_eq!(head.trim_end(), expected);
+    let rows: Vec<&[u8]> = bytes[end..].chunks(35).collect();
+    assert_eq!(rows.len(), 6);
+    let real = |row: usize, at: usize| f64::from_le_bytes(rows[row][at..at + 8].try_into().unwrap());
+    assert_eq!((real(4, 0), real(4, 8), real(4, 16)), (1.0, -2.5, 1e6));
+    assert_eq!((real(3, 26), rows[5][24..26].to_vec(), rows[5][34]), (2.5, vec![255, 255], 9));
+    assert!(real(1, 26).is_nan() && real(4, 26).is_nan());
+    assert!(notes.iter().any(|n| n.contains("X.2")) && notes.iter().any(|n| n.contains("height")), "{notes:?}");
+
+    let (archive, _) = written(OutputFormat::Npz, &plan, &batches).unwrap();
+    let mut archive = zip::ZipArchive::new(std::io::Cursor::new(archive)).unwrap();
+    let names: Vec<String> = archive.file_names().map(|n| n.unwrap().into_owned()).collect();
+    assert_eq!(names, ["X.npy", "Y.npy", "Z.npy", "it's.npy", "height.npy", "X.2.npy"]);
+    let mut one = Vec::new();
+    std::io::Read::read_to_end(&mut archive.by_name("it's.npy").unwrap(), &mut one).unwrap();
+    assert!(
+        String::from_utf8_lossy(&one[12..]).starts_with("{'descr': '<u2', 'fortran_order': False, 'shape': (6,), }")
+    );
+    assert_eq!(&one[one.len() - 12..], [0, 0, 1, 0, 255, 255, 0, 0, 1, 0, 255, 255]);
+}

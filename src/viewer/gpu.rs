@@ -34,6 +34,8 @@ pub struct Gpu {
     canvas: Canvas,
     points: PoolPoints,
     egui: egui_wgpu::Renderer,
+    /// Textures that the panels drew last a frame ago.
+    unused: Vec<egui::TextureId>,
     blitter: wgpu::util::TextureBlitter,
     target: Option<(wgpu::Texture, wgpu::TextureView)>,
     trouble: Arc<Trouble>,
@@ -43,8 +45,6 @@ pub struct Gpu {
 pub struct Panels {
     /// Triangles.
     pub jobs: Vec<egui::ClippedPrimitive>,
-    /// Changed textures.
-    pub textures: egui::TexturesDelta,
     /// Pixels of a point.
     pub pixels_per_point: f32,
 }
@@ -126,6 +126,7 @@ impl Gpu {
             canvas,
             points,
             egui,
+            unused: Vec::new(),
             blitter,
             target: None,
             trouble,
@@ -220,15 +221,24 @@ impl Gpu {
         }))
     }
 
+    /// Brings textures of the panels up to date: at once, since egui tells every change only once.
+    pub fn update_textures(&mut self, mut delta: egui::TexturesDelta) {
+        // What was let go of a frame ago is not drawn any more.
+        for id in self.unused.drain(..) {
+            self.egui.free_texture(&id);
+        }
+        for (id, deltas) in delta.set.drain() {
+            for delta in deltas {
+                self.egui.update_texture(&self.device, &self.queue, id, &delta);
+            }
+        }
+        self.unused.extend(delta.free.drain());
+    }
+
     /// Draws the panels over the points.
     pub fn draw_panels(&mut self, panels: &Panels) {
         let (_, view) = self.target();
         let mut encoder = self.device.create_command_encoder(&Default::default());
-        for (id, deltas) in &panels.textures.set {
-            for delta in deltas {
-                self.egui.update_texture(&self.device, &self.queue, *id, delta);
-            }
-        }
         let screen =
             egui_wgpu::ScreenDescriptor { size_in_pixels: self.size_px(), pixels_per_point: panels.pixels_per_point };
         let before = self.egui.update_buffers(&self.device, &self.queue, &mut encoder, &panels.jobs, &screen);
@@ -246,9 +256,6 @@ impl Gpu {
             self.egui.render(&mut pass.forget_lifetime(), &panels.jobs, &screen);
         }
         self.queue.submit(before.into_iter().chain([encoder.finish()]));
-        for id in &panels.textures.free {
-            self.egui.free_texture(id);
-        }
     }
 
     /// Shows the picture in the window, if the window can be drawn into now.

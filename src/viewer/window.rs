@@ -401,10 +401,10 @@ impl Viewer {
         let model = &mut self.model;
         let output = self.egui.run_ui(input, |ui| panels::show(ui, model, aspect));
         open.events.handle_platform_output(&open.window, output.platform_output);
+        open.gpu.update_textures(output.textures_delta);
         open.over_points = open.pointer_inside && !self.egui.egui_wants_pointer_input();
         let panels = Panels {
             jobs: self.egui.tessellate(output.shapes, output.pixels_per_point),
-            textures: output.textures_delta,
             pixels_per_point: output.pixels_per_point,
         };
 

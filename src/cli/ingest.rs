@@ -184,21 +184,9 @@ pub(super) fn poses(files: &[PathBuf]) -> anyhow::Result<Vec<Pose>> {
 }
 
 fn parse_crs(text: &str) -> anyhow::Result<Crs> {
-    if let Some(code) = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")) {
-        let mut codes = code.split('+').map(|c| c.trim().parse::<u32>());
-        let horizontal =
-            codes.next().and_then(Result::ok).with_context(|| format!("--crs '{text}' is no EPSG code"))?;
-        let vertical = codes.next().transpose().with_context(|| format!("--crs '{text}' is no EPSG code"))?;
-        return Ok(Crs { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Crs::default() });
-    }
-    let wkt = match std::fs::read_to_string(text) {
-        Ok(content) => content,
-        Err(_) => text.to_owned(),
-    };
-    if !wkt.contains('[') {
-        anyhow::bail!("--crs '{text}' is neither EPSG:N nor WKT nor a file that holds WKT");
-    }
-    Ok(Crs { wkt: Some(wkt.trim().to_owned()), ..Crs::default() })
+    let content = std::fs::read_to_string(text);
+    let crs = Crs::parse(content.as_deref().unwrap_or(text));
+    crs.with_context(|| format!("--crs '{text}' is neither EPSG:N nor WKT nor a file that holds WKT"))
 }
 
 /// The lattice in words.

@@ -10,7 +10,7 @@ use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_st
 use crate::geometry::Camera;
 use crate::points::Attribute;
 use crate::query::{Answer, AttributeSummary, Detail, Filter, Query, Region};
-use crate::store::{Limits, Snapshot, Store};
+use crate::store::{Limits, Snapshot, Store, WorldBounds};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::ops::ControlFlow;
@@ -232,7 +232,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
     if answer.region_misses_site {
         let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
         if let Some(bounds) = bounds {
-            let (min, max) = super::info::world_bounds(&snapshot.site().lattice, &bounds);
+            let WorldBounds { min, max } = WorldBounds::new(&snapshot.site().lattice, &bounds);
             eprintln!(
                 "esker: the region lies outside the site, whose bounds are {},{},{},{},{},{}",
                 min[0], min[1], min[2], max[0], max[1], max[2]

@@ -1,7 +1,7 @@
 //! `esker scans`: the scans of a store.
 
 use super::{Outcome, output};
-use crate::store::Store;
+use crate::store::{ScanDescription, Store};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let snapshot = store.snapshot()?;
     let lattice = &snapshot.site().lattice;
     if arguments.json {
-        let scans: Vec<_> = snapshot.scans().iter().map(|s| super::info::scan_json(s, lattice)).collect();
+        let scans: Vec<_> = snapshot.scans().iter().map(|s| ScanDescription::new(s, lattice)).collect();
         output::json(&serde_json::json!({ "scans": scans }))?;
         return Ok(Outcome::Done);
     }

@@ -32,6 +32,17 @@ impl Crs {
         Self { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Self::default() }
     }
 
+    /// Reads `EPSG:N`, `EPSG:N+V` or WKT; `None` if it is neither.
+    pub fn parse(text: &str) -> Option<Self> {
+        let text = text.trim();
+        if let Some(code) = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")) {
+            let mut codes = code.splitn(2, '+').map(|c| c.trim().parse::<u32>());
+            let horizontal = codes.next()?.ok()?;
+            return Some(Self::from_epsg(horizontal, codes.next().transpose().ok()?));
+        }
+        text.contains('[').then(|| Self { wkt: Some(text.to_owned()), ..Self::default() })
+    }
+
     fn node(&self) -> Option<Node> {
         self.wkt.as_deref().and_then(Node::parse)
     }
@@ -124,6 +135,17 @@ impl Crs {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn codes_and_wkt_are_told_apart() {
+        assert_eq!(Crs::parse(" EPSG:25832 "), Some(Crs::from_epsg(25_832, None)));
+        assert_eq!(Crs::parse("epsg:25832+7837"), Some(Crs::from_epsg(25_832, Some(7837))));
+        let wkt = r#"PROJCS["here"]"#;
+        assert_eq!(Crs::parse(wkt).and_then(|c| c.wkt).as_deref(), Some(wkt));
+        for neither in ["", "EPSG:", "EPSG:x", "EPSG:1+", "25832", "UTM"] {
+            assert_eq!(Crs::parse(neither), None, "{neither}");
+        }
+    }
 
     fn keys(entries: &[(u16, u16)]) -> Crs {
         let mut words = vec![1, 1, 0, entries.len() as u16];

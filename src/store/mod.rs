@@ -6,6 +6,7 @@ mod connection;
 #[cfg(test)]
 mod damage_tests;
 mod decode;
+mod describe;
 mod digest;
 mod encode;
 mod error;
@@ -38,6 +39,9 @@ pub use cache::{BlockKey, CacheFigures, CachedBlock};
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
 pub use decode::{DecodedPart, decode_part};
+pub use describe::{
+    AttributeCost, CrsDescription, Description, RejectedDescription, ScanDescription, WorldBounds, describe,
+};
 pub use digest::{Digest, Digester, digest};
 pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, encode_node};
 pub use error::StoreError;

@@ -11,7 +11,7 @@ use crate::geometry::{Camera, WorldBox};
 use crate::points::Batch;
 use crate::query::{Detail, Filter, Query, Region};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring, Renderer};
-use crate::store::{Snapshot, Store};
+use crate::store::{Snapshot, Store, WorldBounds};
 use crate::stream::gpu::Paint;
 use anyhow::{Context, bail};
 use clap::Args;
@@ -144,8 +144,8 @@ fn numbered(path: &Path, frame: usize) -> PathBuf {
 
 fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Camera>> {
     let site = snapshot.scans().iter().filter(|s| s.visible).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    let bounds = site.map(|b| super::info::world_bounds(&snapshot.site().lattice, &b));
-    let (min, max) = bounds.unwrap_or(([0.0; 3], [1.0; 3]));
+    let bounds = site.map(|b| WorldBounds::new(&snapshot.site().lattice, &b));
+    let WorldBounds { min, max } = bounds.unwrap_or(WorldBounds { min: [0.0; 3], max: [1.0; 3] });
     let bounds = WorldBox::new(min, max).context("the site's bounds are no box")?;
     let cameras = match (&arguments.path, &arguments.view, &arguments.bookmark) {
         (Some(path), ..) => walk::read(path)?,

@@ -1,0 +1,203 @@
+//! What a store holds, in world coordinates and plain words, for people and programs: what `info` and `scans` say.
+
+use super::error::StoreError;
+use super::info::info;
+use super::model::Scan;
+use super::snapshot::Snapshot;
+use crate::lattice::{BITS, Decimal, Lattice, LatticeBox, LatticePoint};
+use serde::Serialize;
+
+/// What a store holds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Description {
+    /// Points.
+    pub points: u64,
+    /// How many scans there are.
+    pub scans: usize,
+    /// Nodes of all layers.
+    pub nodes: u64,
+    /// Levels of the deepest tree.
+    pub levels: u32,
+    /// The spacing of the samples that the root holds, in CRS units.
+    pub root_spacing: Option<f64>,
+    /// Where the points are.
+    pub bounds: Option<WorldBounds>,
+    /// The lattice's step per axis.
+    pub quantum: [f64; 3],
+    /// The lattice's offset per axis.
+    pub phase: [f64; 3],
+    /// The site's CRS.
+    pub crs: Option<CrsDescription>,
+    /// The unit of horizontal coordinates, as far as the CRS says.
+    pub unit: Option<&'static str>,
+    /// What is stored of each point, and what it costs: positions first, the scan of each point last.
+    pub attributes: Vec<AttributeCost>,
+    /// Bytes of the store's file, its log included.
+    pub bytes_total: u64,
+    /// Bytes of all encoded columns.
+    pub bytes_encoded: u64,
+    /// Bytes of the file by points.
+    pub bytes_per_point: f64,
+    /// Counts committed changes.
+    pub generation: u64,
+    /// Is a writer at work, or is there a log that is not yet in the file?
+    pub in_use: bool,
+}
+
+/// Bounds in world coordinates whose maximum is one quantum up, so that they take everything when used as a half-open
+/// box.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WorldBounds {
+    /// The low corner.
+    pub min: [f64; 3],
+    /// One quantum beyond the high corner.
+    pub max: [f64; 3],
+}
+
+impl WorldBounds {
+    /// The bounds of these lattice points.
+    pub fn new(lattice: &Lattice, bounds: &LatticeBox) -> Self {
+        let last = (1 << BITS) - 1;
+        let up = LatticePoint(bounds.max.0.map(|i| (i + 1).min(last)));
+        Self { min: lattice.world_from_lattice(bounds.min), max: lattice.world_from_lattice(up) }
+    }
+}
+
+/// A coordinate reference system.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CrsDescription {
+    /// One line for people.
+    pub description: String,
+    /// Its text, as it was given.
+    pub wkt: Option<String>,
+    /// The code of its horizontal part.
+    pub horizontal_epsg: Option<u32>,
+    /// The code of its vertical part.
+    pub vertical_epsg: Option<u32>,
+}
+
+/// What an attribute costs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AttributeCost {
+    /// Its name; `position` and `(scan of each point)` are none.
+    pub name: String,
+    /// The type of its values.
+    #[serde(rename = "type")]
+    pub ty: &'static str,
+    /// Bytes of its encoded columns.
+    pub bytes: u64,
+}
+
+/// A scan of a store.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ScanDescription {
+    /// The number.
+    pub id: u32,
+    /// Unique in the store.
+    pub name: String,
+    /// The path as it was given.
+    pub source: String,
+    /// `las`, `laz`, `e57`, ...
+    pub format: String,
+    /// Points stored.
+    pub points: u64,
+    /// Records that the source announced or held.
+    pub read: u64,
+    /// Records not stored, by reason.
+    pub rejected: RejectedDescription,
+    /// `exact`, `recoverable` or `rounded`.
+    pub positions: &'static str,
+    /// The largest distance on one axis between a source coordinate and the stored one, in CRS units.
+    pub max_error: f64,
+    /// Where its points are.
+    pub bounds: Option<WorldBounds>,
+    /// 4 x 4, row-major, world from scan.
+    pub pose: [f64; 16],
+    /// Where the scanner stood: where the pose takes the origin.
+    pub scanner: [f64; 3],
+    /// 8 or 16; `None` without colours.
+    pub color_depth: Option<u8>,
+    /// Does it take part unless asked otherwise?
+    pub visible: bool,
+    /// Seconds since 1970, when it was stored.
+    pub time: i64,
+}
+
+/// Records of a scan that were not stored, by reason.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct RejectedDescription {
+    /// No valid position.
+    pub not_finite: u64,
+    /// Outside the lattice.
+    pub out_of_range: u64,
+    /// Announced by the header but not in the file.
+    pub truncated: u64,
+}
+
+/// Describes a store; reads its index, no points.
+///
+/// # Errors
+///
+/// As [`info`].
+pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
+    let info = info(snapshot)?;
+    let site = snapshot.site();
+    let root = site.roots.iter().flatten().map(|r| r.k()).max();
+    let spacing = |k: u8| site.lattice.largest_quantum() * 2_f64.powi(i32::from(k) - i32::from(site.g));
+    let stored = info.attribute_bytes.iter().filter_map(|&(slot, bytes)| {
+        let attribute = &snapshot.attribute(slot)?.attribute;
+        Some(AttributeCost { name: attribute.name.clone(), ty: attribute.ty.word(), bytes })
+    });
+    let cost = |name: &str, ty, bytes| std::iter::once(AttributeCost { name: name.into(), ty, bytes });
+    let attributes = cost("position", "3 x u48", info.position_bytes).chain(stored);
+    Ok(Description {
+        points: info.points,
+        scans: snapshot.scans().len(),
+        nodes: info.nodes,
+        levels: info.levels,
+        root_spacing: root.map(spacing),
+        bounds: info.bounds.map(|b| WorldBounds::new(&site.lattice, &b)),
+        quantum: site.lattice.quantum_f64(),
+        phase: site.lattice.phase().map(Decimal::to_f64),
+        crs: site.crs.as_ref().map(|c| CrsDescription {
+            description: c.describe(),
+            wkt: c.wkt.clone(),
+            horizontal_epsg: c.horizontal_epsg,
+            vertical_epsg: c.vertical_epsg,
+        }),
+        unit: site.crs.as_ref().and_then(|c| c.unit_name()),
+        attributes: attributes.chain(cost("(scan of each point)", "u32", info.scan_bytes)).collect(),
+        bytes_total: info.total_bytes,
+        bytes_encoded: info.chunk_bytes,
+        bytes_per_point: if info.points == 0 { 0.0 } else { info.total_bytes as f64 / info.points as f64 },
+        generation: site.generation,
+        in_use: info.in_use,
+    })
+}
+
+impl ScanDescription {
+    /// Describes a scan of a store on this lattice.
+    pub fn new(scan: &Scan, lattice: &Lattice) -> Self {
+        Self {
+            id: scan.id,
+            name: scan.name.clone(),
+            source: scan.source.clone(),
+            format: scan.format.clone(),
+            points: scan.stored,
+            read: scan.read,
+            rejected: RejectedDescription {
+                not_finite: scan.rejected.not_finite,
+                out_of_range: scan.rejected.out_of_range,
+                truncated: scan.rejected.truncated,
+            },
+            positions: scan.exactness.word(),
+            max_error: scan.largest_error,
+            bounds: scan.bounds.map(|b| WorldBounds::new(lattice, &b)),
+            pose: scan.pose,
+            scanner: [scan.pose[3], scan.pose[7], scan.pose[11]],
+            color_depth: scan.color_depth,
+            visible: scan.visible,
+            time: scan.time,
+        }
+    }
+}

@@ -12,6 +12,8 @@ fi
 if ! ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1'; then
     missing="$missing libvulkan1"
 fi
+# Python with virtual environments, for the tests of the wheel.
+"${ESKER_PYTHON:-/usr/bin/python3}" -c 'import ensurepip' >/dev/null 2>&1 || missing="$missing python3-venv"
 
 # The window's libraries, which are looked for when it opens, and a display for its test.
 for library in libxkbcommon.so.0:libxkbcommon0 libxkbcommon-x11.so.0:libxkbcommon-x11-0 libX11.so.6:libx11-6 \

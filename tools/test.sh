@@ -1,5 +1,5 @@
 #!/bin/sh
-# Runs every check of the project: format, lints, tests, doc tests, examples. Sets the machine up first.
+# Runs every check of the project: format, lints, tests, doc tests, examples, the Python package. Sets the machine up first.
 #
 # Real point clouds are read from ../shared/data or $ESKER_DATA if they are there; a bare clone tests without them.
 # ESKER_SWEEP=1 adds the long sweeps (see docs/testing.md).
@@ -17,9 +17,10 @@ step() {
     "$@"
 }
 
-step cargo fmt --check
+step cargo fmt --all --check
 step cargo clippy --locked --all-targets -- -D warnings
 step cargo clippy --locked --no-default-features -- -D warnings
+step cargo clippy --locked --package esker-python -- -D warnings
 step cargo build --locked --bin esker
 step cargo test --locked --doc
 step cargo build --locked --examples
@@ -28,3 +29,4 @@ if cargo nextest --version >/dev/null 2>&1; then
 else
     step cargo test --locked --lib --bins --tests
 fi
+step sh tools/python.sh

@@ -1,0 +1,193 @@
+"""Keywords as users give them, brought into the one form that the extension takes."""
+
+import json
+import operator
+import os
+
+from .errors import QueryError
+
+DEFAULTS = {
+    "box": None,
+    "closed": False,
+    "sphere": None,
+    "obox": None,
+    "polygon": None,
+    "z": None,
+    "frustum": None,
+    "region": None,
+    "where": None,
+    "scans": None,
+    "view": None,
+    "max_error_px": 1.0,
+    "max_error": None,
+    "spacing": None,
+    "level": None,
+    "capacity": None,
+    "attributes": None,
+    "positions": "world",
+    "raw": False,
+    "masked": False,
+    "with_scan": False,
+}
+
+MOST = 2**63 - 1
+
+
+def whole(value, what):
+    """A whole number, also one that is written as a float: ``1e6``."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    try:
+        return min(operator.index(value), MOST)
+    except TypeError:
+        raise TypeError(f"{what} must be a whole number, not {value!r}") from None
+
+
+def names(value, what):
+    """A list of strings: several, or one alone."""
+    if value is None:
+        return None
+    if isinstance(value, (str, int)) and not isinstance(value, bool):
+        value = [value]
+    value = list(value)
+    for name in value:
+        if isinstance(name, bool) or not isinstance(name, (str, int)):
+            raise TypeError(f"{what} must be names, not {name!r}")
+    return [str(name) for name in value]
+
+
+def numbers(value, what):
+    """A list of floats."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        raise TypeError(f"{what} must be numbers, not a string")
+    return [float(number) for number in value]
+
+
+def text(value, what):
+    """A string."""
+    if value is not None and not isinstance(value, str):
+        raise TypeError(f"{what} must be a string, not {value!r}")
+    return value
+
+
+def view(value):
+    """A view file's JSON: from its path, or from its content as a dict."""
+    if value is None:
+        return None
+    if isinstance(value, (str, os.PathLike)):
+        try:
+            with open(value, encoding="utf-8") as file:
+                return file.read()
+        except FileNotFoundError:
+            raise QueryError(f"{value}: there is no such view file") from None
+    return json.dumps(value, default=_plain)
+
+
+def polygon(value):
+    """WKT, GeoJSON or a file's name: as text, as GeoJSON's dict, or as an object of shapely's kind."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    value = getattr(value, "__geo_interface__", value)
+    if not isinstance(value, dict):
+        raise TypeError(f"polygon must be WKT, GeoJSON or a file, not {value!r}")
+    return json.dumps(value, default=_plain)
+
+
+def frustum(value):
+    """A view, or the rows of a clip matrix, as JSON."""
+    if value is None or isinstance(value, (str, os.PathLike, dict)):
+        return view(value)
+    return json.dumps({"clip_from_world": [[float(number) for number in row] for row in value]})
+
+
+def _plain(value):
+    """What json does not know: numpy's arrays and numbers."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{value!r} has no place in a view")
+
+
+def query(given):
+    """All keywords of a query."""
+    unknown = given.keys() - DEFAULTS.keys()
+    if unknown:
+        raise TypeError(f"unexpected keyword: {', '.join(sorted(unknown))}")
+    full = {**DEFAULTS, **given}
+    positions = full.pop("positions")
+    if positions not in ("world", "lattice"):
+        raise QueryError(f'positions is {positions!r}; it must be "world" or "lattice"')
+    full["lattice"] = positions == "lattice"
+    full["box"] = numbers(full["box"], "box")
+    full["sphere"] = numbers(full["sphere"], "sphere")
+    full["obox"] = numbers(full["obox"], "obox")
+    full["z"] = numbers(full["z"], "z")
+    if full["z"] is not None and len(full["z"]) != 2:
+        raise QueryError(f"z has 2 numbers, from and up to; there are {len(full['z'])}")
+    full["polygon"] = polygon(full["polygon"])
+    full["frustum"] = frustum(full["frustum"])
+    full["region"] = text(full["region"], "region")
+    full["where"] = text(full["where"], "where")
+    full["scans"] = names(full["scans"], "scans")
+    full["attributes"] = names(full["attributes"], "attributes")
+    full["view"] = view(full["view"])
+    for word in ("level", "capacity"):
+        if full[word] is not None:
+            full[word] = whole(full[word], word)
+    return full
+
+
+def per_axis(value):
+    """One number for all axes, or three."""
+    if value is None:
+        return None
+    if isinstance(value, (int, float)):
+        return [float(value)] * 3
+    return [float(number) for number in value]
+
+
+def changes(
+    quantum=None,
+    phase=None,
+    lattice=None,
+    memory=None,
+    threads=None,
+    crs=None,
+    ignore_crs=False,
+    name=None,
+    poses=(),
+    columns=None,
+    recursive=False,
+    strict=False,
+    wait=False,
+):
+    """All keywords of a change."""
+    if crs is not None and not isinstance(crs, str):
+        # pyproj's and others' objects.
+        crs = crs.to_wkt()
+    return {
+        "quantum": per_axis(quantum),
+        "phase": per_axis(phase),
+        "lattice": lattice,
+        "memory": None if memory is None else whole(memory, "memory"),
+        "threads": None if threads is None else whole(threads, "threads"),
+        "crs": crs,
+        "ignore_crs": ignore_crs,
+        "name": name,
+        "poses": [_matrix(pose) for pose in poses],
+        "columns": None if columns is None else ",".join(columns),
+        "recursive": recursive,
+        "strict": strict,
+        "wait": wait,
+    }
+
+
+def _matrix(pose):
+    """The sixteen numbers of a row-major 4 x 4 matrix."""
+    flat = []
+    for row in pose:
+        flat.extend(float(number) for number in (row if hasattr(row, "__iter__") else [row]))
+    return flat

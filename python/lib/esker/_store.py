@@ -1,0 +1,496 @@
+"""Stores: asked, and changed."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import warnings
+from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, TypedDict, Union
+
+from . import _arguments, _esker
+from ._points import Answer, Batches, Density, Neighbors
+from .errors import EskerWarning
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+PathLike = Union[str, "os.PathLike[str]"]
+Names = Union[str, int, Sequence[Union[str, int]]]
+Progress = Callable[[str, int, int], Any]
+
+_log = logging.getLogger("esker")
+
+
+class QueryKeywords(TypedDict, total=False):
+    """The keywords of :meth:`Store.query`."""
+
+    box: Sequence[float]
+    closed: bool
+    sphere: Sequence[float]
+    obox: Sequence[float]
+    polygon: Any
+    z: Sequence[float]
+    frustum: Any
+    region: str
+    where: str
+    scans: Names
+    view: Union[PathLike, Dict[str, Any]]
+    max_error_px: float
+    max_error: float
+    spacing: float
+    level: int
+    capacity: Union[int, float]
+    attributes: Names
+    positions: str
+    raw: bool
+    masked: bool
+    with_scan: bool
+
+
+class ChangeKeywords(TypedDict, total=False):
+    """The keywords of all changes."""
+
+    memory: int
+    threads: int
+    wait: bool
+    progress: Progress
+
+
+class IngestKeywords(ChangeKeywords, total=False):
+    """The keywords of :func:`ingest`."""
+
+    quantum: Union[float, Sequence[float]]
+    phase: Union[float, Sequence[float]]
+    lattice: PathLike
+    crs: Any
+    ignore_crs: bool
+    name: str
+    poses: Sequence[Any]
+    columns: Sequence[str]
+    recursive: bool
+    strict: bool
+
+
+class Reader:
+    """What can be asked of a store. In the examples ``store`` is a site of three scans, made by
+    :func:`esker.generate`."""
+
+    def __init__(self, reader: _esker.Reader, path: PathLike) -> None:
+        self._reader = reader
+        self._path = os.fspath(path)
+
+    @property
+    def path(self) -> str:
+        """The file."""
+        return self._path
+
+    @property
+    def generation(self) -> int:
+        """Counts committed changes."""
+        return self._reader.generation()
+
+    @property
+    def info(self) -> Dict[str, Any]:
+        """What the store holds, as the command line's ``info --json``: points, bounds, quantum, CRS, attributes and what
+        they cost.
+
+        >>> info = store.info
+        >>> info["points"], info["scans"], info["quantum"]
+        (60000, 3, [0.001, 0.001, 0.001])
+
+        ``bounds`` has a maximum one quantum beyond the last point, so that it takes everything when used as a box:
+
+        >>> store.count(box=info["bounds"]["min"] + info["bounds"]["max"])
+        60000
+        """
+        return json.loads(self._reader.info())
+
+    @property
+    def scans(self) -> List[Dict[str, Any]]:
+        """The scans, as the command line's ``scans --json``: id, name, points, pose, bounds, visible, ...
+
+        >>> [(scan["id"], scan["name"], scan["points"]) for scan in store.scans]
+        [(1, 'site_1', 20000), (2, 'site_2', 20000), (3, 'site_3', 20000)]
+        """
+        return json.loads(self._reader.scans())
+
+    @property
+    def attributes(self) -> List[Dict[str, Any]]:
+        """Name (a LAS dimension's where there is one) and type of each attribute; scaling, no_data and description of
+        those that have them.
+
+        >>> [(a["name"], a["ty"]) for a in store.attributes if a["name"].startswith("G")]
+        [('GpsTime', 'f64'), ('Green', 'u16')]
+        """
+        return sorted(json.loads(self._reader.attributes()), key=lambda a: (a["name"], a["ty"]))
+
+    @property
+    def bookmarks(self) -> Dict[str, Dict[str, Any]]:
+        """Named cameras, as ``query(view=...)`` takes them."""
+        return {name: json.loads(view) for name, view in self._reader.bookmarks()}
+
+    def query(
+        self,
+        *,
+        box: Optional[Sequence[float]] = None,
+        closed: bool = False,
+        sphere: Optional[Sequence[float]] = None,
+        obox: Optional[Sequence[float]] = None,
+        polygon: Any = None,
+        z: Optional[Sequence[float]] = None,
+        frustum: Any = None,
+        region: Optional[str] = None,
+        where: Optional[str] = None,
+        scans: Optional[Names] = None,
+        view: Optional[Union[PathLike, Dict[str, Any]]] = None,
+        max_error_px: float = 1.0,
+        max_error: Optional[float] = None,
+        spacing: Optional[float] = None,
+        level: Optional[int] = None,
+        capacity: Optional[Union[int, float]] = None,
+        attributes: Optional[Names] = None,
+        positions: str = "world",
+        raw: bool = False,
+        masked: bool = False,
+        with_scan: bool = False,
+    ) -> Answer:
+        """The points in a region for which a filter is true, at a detail: exactly those that the command line gives.
+
+        Where (inside all that are given):
+
+        ``box``
+            ``(x0, y0, x1, y1)`` or ``(x0, y0, z0, x1, y1, z1)``, half-open: a point on a maximum face is outside, unless
+            ``closed`` is true. ``float("inf")`` is a number.
+        ``sphere``
+            ``(x, y, z, radius)``.
+        ``obox``
+            ``(x, y, z, sx, sy, sz, yaw)`` or with ``pitch, roll``: the centre, full sides, angles in degrees.
+        ``polygon``
+            WKT or GeoJSON, as text, as a file, as a dict, or as an object with ``__geo_interface__`` such as shapely's; holes
+            and several parts. Half-open like a box: neighbours that share an edge share no point.
+        ``z``
+            ``(from, up_to)``: heights, half-open.
+        ``frustum``
+            What a camera sees: a view file, its content as a dict, or a clip matrix.
+        ``region``
+            An expression of shapes: ``"polygon((0 0, 9 0, 9 9, 0 0)) and z(0, 4) and not sphere(1, 2, 3, 1)"``.
+
+        Which:
+
+        ``where``
+            An expression over attributes, ``X``, ``Y``, ``Z`` and ``scan``: ``"Classification in (2, 9) and Z < 100"``.
+        ``scans``
+            Names or ids. Hidden scans take part only if they are named.
+
+        How fine (everything, if nothing is said):
+
+        ``max_error``
+            As few points as keep every matching point within this distance of one of them.
+        ``spacing``, ``level``
+            One point in each cell of at most this side; of this level.
+        ``view``, ``max_error_px``
+            What a camera needs: a view file, or its content as a dict (``eye``, ``target``, ``size``, ...).
+        ``capacity``
+            At most so many points, with any of these: an even thinning.
+
+        What of each point:
+
+        ``attributes``
+            Names, looked up without regard to case and underscores, laspy's too. All, if nothing is said; ``[]`` for
+            positions alone. What is not asked for is not read.
+        ``positions``
+            ``"world"``: ``x``, ``y``, ``z`` as float64. ``"lattice"``: ``X``, ``Y``, ``Z`` as exact int64, of which
+            ``phase + quantum * X`` is the coordinate (``info`` has both).
+        ``raw``
+            Stored values of attributes that have a scale and an offset (extra bytes), instead of real ones in float64.
+        ``masked``
+            Masked arrays, with a mask where a scan lacks the attribute or the value is its no-data value. Otherwise there
+            is 0 or the no-data value there; :attr:`Answer.nullable` names the attributes that are concerned.
+        ``with_scan``
+            A field ``scan`` with the id of each point's scan.
+
+        >>> x, y = 690_000, 5_330_000
+        >>> ground = store.query(box=(x, y, x + 20, y + 20), where="Classification = 2", attributes=["Intensity"])
+        >>> ground.points.dtype.names
+        ('x', 'y', 'z', 'Intensity')
+        >>> bool((ground["x"] < x + 20).all()), ground.error_bound
+        (True, 0.0)
+        >>> coarse = store.query(max_error=2.0)
+        >>> len(coarse) < 60_000 and coarse.error_bound <= 2.0
+        True
+        >>> len(store.query(capacity=1000, attributes=[]))
+        1000
+
+        Raises :exc:`QueryError`, :exc:`FilterError` and :exc:`UnknownNameError` for what makes no sense:
+
+        >>> store.query(attributes="intensty")
+        Traceback (most recent call last):
+        esker.UnknownNameError: there is no attribute "intensty"; did you mean "Intensity"?
+
+        The interpreter's lock is released meanwhile; Ctrl-C interrupts.
+        """
+        keywords = dict(locals())
+        del keywords["self"]
+        options = _arguments.query(keywords)
+        decoded, report = self._reader.query(options)
+        answer = Answer(decoded, masked, report)
+        if answer.region_misses_site:
+            warnings.warn("the region lies outside the site", EskerWarning, stacklevel=2)
+        return answer
+
+    def batches(self, size: int = 1_000_000, **keywords: Unpack[QueryKeywords]) -> Batches:
+        """The points of :meth:`query` in the same order, ``size`` at a time (the last batch has what is left), in memory
+        that does not grow with the answer. The store is read ahead a little while a batch is worked on.
+
+        >>> heights = [batch["z"].max() for batch in store.batches(25_000, attributes=[])]
+        >>> len(heights)
+        3
+
+        An iterator that is not used up keeps its generation and a few decoded batches until it is closed:
+
+        >>> with store.batches(1000, where="Classification = 2") as batches:
+        ...     first = next(batches)
+        >>> len(first)
+        1000
+        """
+        size = _arguments.whole(size, "size")
+        if size < 1:
+            raise ValueError(f"size is {size}; it must be 1 or more")
+        options = _arguments.query(keywords)
+        return Batches(self._reader.batches(options, size), options["masked"])
+
+    def count(self, **keywords: Unpack[QueryKeywords]) -> int:
+        """How many points :meth:`query` would give; reads only what that needs.
+
+        >>> store.count(scans="site_2")
+        20000
+        """
+        return json.loads(self._reader.count(_arguments.query(keywords)))["points"]
+
+    def summary(self, **keywords: Unpack[QueryKeywords]) -> Dict[str, Any]:
+        """What the command line's ``query --json`` says of an answer: its error bound, what it cost, and least, greatest
+        and mean value of ``X``, ``Y``, ``Z`` and the attributes.
+
+        >>> summary = store.summary(attributes=["Classification"])
+        >>> summary["points"], [a["name"] for a in summary["attributes"]]
+        (60000, ['X', 'Y', 'Z', 'Classification'])
+        """
+        return json.loads(self._reader.summary(_arguments.query(keywords)))
+
+    def nearest(
+        self, points: Any, k: int = 1, radius: Optional[float] = None, **keywords: Unpack[QueryKeywords]
+    ) -> Neighbors:
+        """The ``k`` matching points that are nearest to each of ``points`` (n rows of x, y, z) and at most ``radius`` away:
+        exact, whatever the filter.
+
+        >>> near = store.nearest([[690_000, 5_330_000, 500]], k=3, where="Classification = 2", attributes=["Intensity"])
+        >>> len(near), bool((near.distances[:-1] <= near.distances[1:]).all()), near.offsets.tolist()
+        (3, True, [0, 3])
+        """
+        points = [[float(c) for c in point] for point in points]
+        options = _arguments.query(keywords)
+        found = self._reader.nearest(options, points, _arguments.whole(k, "k"), radius)
+        return Neighbors(found[0], options["masked"], *found[1:])
+
+    def density(self, side: float, **keywords: Unpack[QueryKeywords]) -> Density:
+        """Counts, least and greatest heights of the matching points in squares of this side; nodes that lie in one square
+        are counted without being read.
+
+        >>> density = store.density(5.0)
+        >>> int(density.counts.sum())
+        60000
+        """
+        options = _arguments.query({"attributes": [], **keywords})
+        return Density(float(side), *self._reader.density(options, side))
+
+    def verify(self, deep: bool = False) -> Dict[str, Any]:
+        """Checks that the store is whole; ``deep``: also that every point is where the sampling rule puts it.
+
+        >>> store.verify()["whole"]
+        True
+        """
+        return json.loads(self._reader.verify(deep))
+
+    def close(self) -> None:
+        """Gives up files and memory. Answers that were given stay; an iterator of batches goes on."""
+        self._reader.close()
+
+    @property
+    def closed(self) -> bool:
+        """Was it closed?"""
+        return self._reader.is_closed()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<esker.{type(self).__name__} {self._path!r}{' (closed)' if self.closed else ''}>"
+
+
+class Snapshot(Reader):
+    """One generation of a store, whatever is committed after; from :meth:`Store.snapshot`."""
+
+    def __enter__(self) -> Snapshot:
+        return self
+
+
+class Store(Reader):
+    """A store: answers are always of its newest generation, and scans can be added and taken away.
+
+    Use :func:`esker.open`. May be shared by threads; a forked process must open its own.
+    """
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __reduce__(self) -> Any:
+        return open_store, (self._path,)
+
+    def snapshot(self) -> Snapshot:
+        """The present generation, for several questions about the same state.
+
+        >>> with store.snapshot() as now:
+        ...     now.count() == len(now.query(attributes=[]))
+        True
+        """
+        return Snapshot(self._reader.hold(), self._path)
+
+    def ingest(self, inputs: Union[PathLike, Sequence[PathLike]], **keywords: Unpack[IngestKeywords]) -> Dict[str, Any]:
+        """Adds point files: :func:`esker.ingest` into this store."""
+        return ingest(self._path, inputs, **keywords)
+
+    def remove(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
+        """Takes scans out, as if they had never been there."""
+        return _changed(_esker.remove, self._path, _arguments.names(scans, "scans") or [], **keywords)
+
+    def replace(
+        self, scan: Union[str, int], source: Optional[PathLike] = None, **keywords: Unpack[IngestKeywords]
+    ) -> Dict[str, Any]:
+        """Puts a file in a scan's place, in one commit; without ``source`` its own file, read again."""
+        return _changed(_esker.replace, self._path, str(scan), source, **keywords)
+
+    def hide(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> List[str]:
+        """Leaves scans out of answers that do not name them; gives the names of those that were visible.
+
+        >>> store.hide("site_3"), store.count(), store.show("site_3"), store.count()
+        (['site_3'], 40000, ['site_3'], 60000)
+        """
+        return _changed(_esker.set_visible, self._path, _arguments.names(scans, "scans") or [], False, **keywords)
+
+    def show(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> List[str]:
+        """Lets hidden scans take part again; gives the names of those that were hidden."""
+        return _changed(_esker.set_visible, self._path, _arguments.names(scans, "scans") or [], True, **keywords)
+
+    def compact(self, copy: Optional[PathLike] = None, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
+        """Makes one layer of all and gives free space back; with ``copy``, in a new file."""
+        return _changed(_esker.compact, self._path, copy, **keywords)
+
+    def digest(self, **keywords: Unpack[ChangeKeywords]) -> Dict[str, str]:
+        """Two hashes of what the store holds, however it came to hold it: ``points`` and ``scans``.
+
+        >>> sorted(store.digest())
+        ['points', 'scans']
+        """
+        return dict(_changed(_esker.digest, self._path, **keywords))
+
+
+def open_store(path: PathLike) -> Store:
+    """Opens a store.
+
+    >>> with esker.open(path) as store:
+    ...     store.info["points"]
+    60000
+
+    Raises :exc:`NotThereError` (a ``FileNotFoundError``) or :exc:`NotAStoreError`:
+
+    >>> esker.open("nowhere.esker")
+    Traceback (most recent call last):
+    esker.NotThereError: nowhere.esker: there is no such store
+    """
+    return Store(_esker.Reader(path), path)
+
+
+def ingest(
+    path: PathLike,
+    inputs: Union[PathLike, Sequence[PathLike]],
+    *,
+    progress: Optional[Progress] = None,
+    **keywords: Any,
+) -> Dict[str, Any]:
+    """Puts point files into a store, which is made if it is not there; gives the report of the command line's
+    ``ingest --json``.
+
+    ``inputs`` are files (LAS, LAZ, COPC, PLY, E57, PTX, PTS, PCD, text) and folders. Scans that the store has already are
+    skipped, so an interrupted ingest is resumed by calling it again.
+
+    ``quantum``, ``phase``, ``lattice``
+        Of a new store: numbers, one or one per axis; or another store to take them from.
+    ``memory``, ``threads``, ``wait``
+        Bytes to use at most; threads; wait while another process writes.
+    ``crs``, ``ignore_crs``
+        ``"EPSG:N"``, WKT, or an object with ``to_wkt`` such as pyproj's, instead of what the inputs say; take coordinates
+        as they are though a CRS differs.
+    ``name``, ``poses``, ``columns``
+        Of a single scan; a 4 x 4 matrix for each input file; names of the columns of text files, ``"-"`` for one that is
+        not read.
+    ``recursive``, ``strict``
+        Look into folders below; refuse truncated files.
+    ``progress``
+        Called with the stage (``"reading"``, ``"building"``, ...), the points done and the points of the stage, some ten
+        times a second. What it raises stops the ingest.
+
+    >>> report = esker.ingest(folder + "/new.esker", folder + "/site_1.las", name="first")
+    >>> [(scan["name"], scan["stored"], scan["positions"]) for scan in report["scans"]]
+    [('first', 20000, 'exact')]
+    >>> len(esker.ingest(folder + "/new.esker", folder + "/site_1.las")["skipped"])
+    1
+
+    Ctrl-C, too, leaves the store at its last commit.
+    """
+    if isinstance(inputs, (str, os.PathLike)):
+        inputs = [inputs]
+    report = _changed(_esker.ingest, path, list(inputs), progress=progress, **keywords)
+    for note in report["notes"] + [f"{s['name']}: {w}" for s in report["scans"] for w in s["warnings"]]:
+        _log.warning("%s", note)
+    return report
+
+
+def merge(out: PathLike, stores: Sequence[PathLike], **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
+    """Joins stores on one lattice to a new one: what a single ingest of all their scans would have given."""
+    return _changed(_esker.merge, out, list(stores), **keywords)
+
+
+def generate(
+    kind: str,
+    points: Union[int, float],
+    output: PathLike,
+    *,
+    seed: int = 1,
+    scans: int = 5,
+    laz: bool = False,
+    force: bool = False,
+) -> List[str]:
+    """Makes a synthetic model to try things with, the same for the same seed, and gives the names of its files.
+
+    ``"torus"``, ``"spheres"`` and ``"terrain"`` are a file that ends in ``.las`` or ``.laz``; ``"site"`` is a folder of
+    ``scans`` files.
+
+    >>> [os.path.basename(file) for file in esker.generate("torus", 1000, folder + "/torus.las")]
+    ['torus.las']
+    """
+    options = {"seed": seed, "scans": scans, "laz": laz, "force": force}
+    files = _esker.generate(kind, _arguments.whole(points, "points"), output, options)
+    return [os.fspath(path) for path, _ in files]
+
+
+class _Listener:
+    """Who hears of a change."""
+
+    def __init__(self, progress: Optional[Progress]) -> None:
+        self.progress = progress
+        self.say = _log.info
+
+
+def _changed(change: Callable[..., str], *arguments: Any, progress: Optional[Progress] = None, **keywords: Any) -> Any:
+    return json.loads(change(*arguments, _arguments.changes(**keywords), _Listener(progress)))

@@ -1,0 +1,155 @@
+//! The library's errors as the package's exceptions, which are defined in `lib/esker/errors.py`.
+
+use esker::formats::FormatError;
+use esker::generate::GenerateError;
+use esker::ingest::IngestError;
+use esker::query::QueryError;
+use esker::store::StoreError;
+use pyo3::PyErr;
+use std::error::Error;
+
+mod exceptions {
+    //! Imported when the first one is raised.
+    pyo3::import_exception!(esker.errors, DamagedError);
+    pyo3::import_exception!(esker.errors, DiskFullError);
+    pyo3::import_exception!(esker.errors, EskerError);
+    pyo3::import_exception!(esker.errors, ExistsError);
+    pyo3::import_exception!(esker.errors, FilterError);
+    pyo3::import_exception!(esker.errors, FormatError);
+    pyo3::import_exception!(esker.errors, InUseError);
+    pyo3::import_exception!(esker.errors, IngestError);
+    pyo3::import_exception!(esker.errors, NotAStoreError);
+    pyo3::import_exception!(esker.errors, NotThereError);
+    pyo3::import_exception!(esker.errors, QueryError);
+    pyo3::import_exception!(esker.errors, ReadOnlyError);
+    pyo3::import_exception!(esker.errors, UnknownNameError);
+}
+
+/// An error of the library, of whichever module.
+pub enum Failure {
+    Store(StoreError),
+    Query(QueryError),
+    Ingest(IngestError),
+    Format(FormatError),
+    Generate(GenerateError),
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
+}
+
+impl From<QueryError> for Failure {
+    fn from(error: QueryError) -> Self {
+        Self::Query(error)
+    }
+}
+
+impl From<IngestError> for Failure {
+    fn from(error: IngestError) -> Self {
+        Self::Ingest(error)
+    }
+}
+
+impl From<FormatError> for Failure {
+    fn from(error: FormatError) -> Self {
+        Self::Format(error)
+    }
+}
+
+impl From<GenerateError> for Failure {
+    fn from(error: GenerateError) -> Self {
+        Self::Generate(error)
+    }
+}
+
+impl From<Failure> for PyErr {
+    fn from(failure: Failure) -> Self {
+        match failure {
+            Failure::Store(e) => of_store(&e),
+            Failure::Query(e) => of_query(&e),
+            Failure::Ingest(e) => of_ingest(&e),
+            Failure::Format(e) => of_format(&e),
+            Failure::Generate(GenerateError::Format(e)) => of_format(&e),
+            Failure::Generate(e) => exceptions::EskerError::new_err(message(&e)),
+        }
+    }
+}
+
+/// A query that cannot be: what the package's caller gave makes none.
+pub fn bad_query(message: impl Into<String>) -> PyErr {
+    exceptions::QueryError::new_err(message.into())
+}
+
+/// An ingest that cannot be.
+pub fn bad_ingest(message: impl Into<String>) -> PyErr {
+    exceptions::IngestError::new_err(message.into())
+}
+
+/// Anything else that the caller did wrong.
+pub fn misuse(message: impl Into<String>) -> PyErr {
+    exceptions::EskerError::new_err(message.into())
+}
+
+fn of_store(error: &StoreError) -> PyErr {
+    let message = message(error);
+    match error {
+        StoreError::NotThere { .. } => exceptions::NotThereError::new_err(message),
+        StoreError::Directory { .. } | StoreError::NotAStore { .. } | StoreError::Newer { .. } => {
+            exceptions::NotAStoreError::new_err(message)
+        }
+        StoreError::AlreadyThere { .. } => exceptions::ExistsError::new_err(message),
+        StoreError::InUse { .. } | StoreError::Busy { .. } => exceptions::InUseError::new_err(message),
+        StoreError::Damaged { .. } => exceptions::DamagedError::new_err(message),
+        StoreError::Full { .. } => exceptions::DiskFullError::new_err(message),
+        StoreError::ReadOnly { .. } => exceptions::ReadOnlyError::new_err(message),
+        _ => exceptions::EskerError::new_err(message),
+    }
+}
+
+fn of_query(error: &QueryError) -> PyErr {
+    match error {
+        QueryError::Store(e) => of_store(e),
+        QueryError::Filter(e) => exceptions::FilterError::new_err((e.to_string(), e.at())),
+        QueryError::UnknownAttribute { .. } | QueryError::UnknownScan { .. } => {
+            exceptions::UnknownNameError::new_err(message(error))
+        }
+        QueryError::Inconsistent { .. } => exceptions::DamagedError::new_err(message(error)),
+        _ => exceptions::QueryError::new_err(message(error)),
+    }
+}
+
+fn of_ingest(error: &IngestError) -> PyErr {
+    match error {
+        IngestError::Store(e) => of_store(e),
+        IngestError::Format(e) => of_format(e),
+        IngestError::NoScan { .. } => exceptions::UnknownNameError::new_err(message(error)),
+        IngestError::OutputThere(_) => exceptions::ExistsError::new_err(message(error)),
+        IngestError::DiskFull { .. } => exceptions::DiskFullError::new_err(message(error)),
+        _ => exceptions::IngestError::new_err(message(error)),
+    }
+}
+
+fn of_format(error: &FormatError) -> PyErr {
+    match error {
+        FormatError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+            exceptions::NotThereError::new_err(message(error))
+        }
+        _ => exceptions::FormatError::new_err(message(error)),
+    }
+}
+
+/// The error and its causes, without saying anything twice.
+fn message(error: &dyn Error) -> String {
+    let mut message = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let text = error.to_string();
+        if !message.contains(&text) {
+            message = format!("{message}: {text}");
+        }
+        cause = error.source();
+    }
+    message
+}

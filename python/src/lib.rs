@@ -1,0 +1,26 @@
+//! The extension module `esker._esker`: what cannot be said in Python. Its only caller is the package `esker` beside it
+//! (`lib/esker`), which has the documented interface; so arguments come here complete and in one form.
+
+mod batches;
+mod changes;
+mod errors;
+mod options;
+mod points;
+mod reader;
+mod waiting;
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// `esker._esker`.
+#[pyo3::pymodule(gil_used = false)]
+mod _esker {
+    #[pymodule_export]
+    use super::batches::Batches;
+    #[pymodule_export]
+    use super::changes::{compact, digest, generate, ingest, merge, remove, replace, set_visible};
+    #[pymodule_export]
+    use super::points::Points;
+    #[pymodule_export]
+    use super::reader::{Reader, same_attribute};
+}

@@ -1,0 +1,129 @@
+"""What arrays answers give: both forms, nulls, scaled values, names."""
+
+import esker
+import laspy
+import numpy as np
+import pytest
+
+
+def write(path, point_format, extra=(), points=50, seed=0, **columns):
+    """A LAS file of points in a square, with what is asked for besides."""
+    header = laspy.LasHeader(version="1.4", point_format=point_format)
+    header.scales, header.offsets = [0.01] * 3, [0.0] * 3
+    header.add_extra_dims([laspy.ExtraBytesParams(**e) for e in extra])
+    las = laspy.LasData(header)
+    rng = np.random.default_rng(seed)
+    las.X, las.Y, las.Z = (rng.permutation(1000)[:points] for _ in range(3))
+    for name, values in columns.items():
+        las[name] = values
+    las.write(path)
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    """One scan with colours and heights that are scaled and may be missing, one without."""
+    folder = tmp_path_factory.mktemp("mixed")
+    stored = np.arange(50, dtype=np.int16)
+    height = {"name": "height", "type": "int16", "scales": [0.5], "offsets": [10.0], "no_data": [7]}
+    write(folder / "rich.las", 7, [height], red=np.arange(1, 51), height=stored * 0.5 + 10.0)
+    write(folder / "poor.las", 6, seed=1)
+    esker.ingest(folder / "mixed.esker", [folder / "rich.las", folder / "poor.las"])
+    with esker.open(folder / "mixed.esker") as store:
+        yield store
+
+
+def test_both_forms_are_the_same_whichever_comes_first(site):
+    for masked in (False, True):
+        keywords = {"masked": masked, "with_scan": True, "capacity": 5000}
+        points_first, columns_first = site.store.query(**keywords), site.store.query(**keywords)
+        a, b = points_first.points, columns_first.columns
+        c, d = points_first.columns, columns_first.points
+        assert a.dtype == d.dtype == points_first.dtype
+        assert np.array_equal(a, d)
+        for name in points_first.names:
+            assert np.array_equal(a[name], b[name]) and np.array_equal(b[name], c[name])
+            assert c[name].flags.c_contiguous and b[name].dtype == a.dtype[name]
+        assert np.array_equal(points_first.xyz, columns_first.xyz)
+        assert np.array_equal(points_first.xyz[:, 2], b["z"])
+        assert points_first.points is a and columns_first.columns is b
+
+
+def test_arrays_are_writable_and_outlive_the_store(site):
+    with esker.open(site.path) as store:
+        answer = store.query(attributes=["Intensity"], capacity=1000)
+    assert store.closed
+    column = answer["intensity"]
+    before = column.copy()
+    column += 1
+    answer.points["z"] -= 1.0
+    assert np.array_equal(column, before + 1) and len(answer.points) == 1000
+
+
+def test_types_are_those_of_the_store(site):
+    stored = {a["name"]: a["ty"] for a in site.store.attributes}
+    dtype = site.store.query(capacity=1).dtype
+    assert dtype.isnative
+    for name, ty in stored.items():
+        assert dtype[name] == np.dtype({"u": "uint", "i": "int", "f": "float"}[ty[0]] + ty[1:])
+
+
+def test_an_empty_answer_has_its_fields(site):
+    answer = site.store.query(where="Classification = 77")
+    assert len(answer) == 0 and len(answer.points) == 0
+    assert answer.points.dtype == site.store.query(capacity=1).points.dtype
+    assert all(len(column) == 0 for column in answer.columns.values())
+    assert list(site.store.batches(where="Classification = 77")) == []
+    with pytest.warns(esker.EskerWarning, match="outside the site"):
+        assert site.store.query(box=(0, 0, 1, 1), masked=True).region_misses_site
+
+
+def test_nulls_are_zero_or_masked(mixed):
+    plain = mixed.query(with_scan=True)
+    poor = plain["scan"] == 2
+    assert poor.sum() == 50 and set(plain.nullable) == {"Red", "Green", "Blue", "height"}
+    assert not plain["Red"][poor].any() and plain["Red"][~poor].all()
+    assert not isinstance(plain.points, np.ma.MaskedArray)
+
+    for first in ("points", "columns"):
+        masked = mixed.query(with_scan=True, masked=True)
+        getattr(masked, first)
+        assert np.array_equal(masked["Red"].mask, poor)
+        assert np.array_equal(masked.points.mask["Red"], poor)
+        assert not masked.points.mask["Intensity"].any()
+        assert not isinstance(masked["Intensity"], np.ma.MaskedArray)
+        # Of the scan that has heights, the one that is 7 as stored.
+        assert np.array_equal(masked["height"].mask, poor | (plain["height"] == 13.5))
+        assert masked["height"].count() == 49
+
+    # An answer of one scan has no nulls of others.
+    assert mixed.query(scans=["rich"]).nullable == ("height",)
+    batches = list(mixed.batches(30, masked=True, with_scan=True))
+    assert np.array_equal(np.concatenate([b["Red"].mask for b in batches]), plain["scan"] == 2)
+
+
+def test_scaled_values_are_real_ones_unless_asked_otherwise(mixed):
+    real, raw = mixed.query(scans="rich"), mixed.query(scans="rich", raw=True)
+    assert real["height"].dtype == np.float64 and raw["height"].dtype == np.int16
+    assert np.array_equal(np.sort(raw["height"]), np.arange(50))
+    assert np.array_equal(real["height"], raw["height"] * 0.5 + 10.0)
+    # As filters see them.
+    assert mixed.count(where="height > 20") == (np.delete(np.arange(50), 7) * 0.5 + 10 > 20).sum()
+
+
+def test_a_name_of_two_types_is_told_apart(tmp_path):
+    write(tmp_path / "a.las", 6, [{"name": "quality", "type": "uint8"}], quality=np.full(50, 3))
+    write(tmp_path / "b.las", 6, [{"name": "quality", "type": "float32"}], seed=1, quality=np.full(50, 0.5))
+    esker.ingest(tmp_path / "s.esker", [tmp_path / "a.las", tmp_path / "b.las"])
+    with esker.open(tmp_path / "s.esker") as store:
+        answer = store.query(attributes="quality")
+        assert answer.names == ("x", "y", "z", "quality:u8", "quality:f32")
+        assert answer["quality:u8"].sum() == 150 and answer["quality:f32"].sum() == 25
+
+
+def test_names_are_looked_up_as_in_filters(site):
+    answer = site.store.query(attributes=["gps_time", "return_num", "CLASSIFICATION"], capacity=10)
+    assert answer.names == ("x", "y", "z", "Classification", "GpsTime", "ReturnNumber")
+    assert answer["gps_time"] is answer["GpsTime"] and answer["return_num"] is answer["ReturnNumber"]
+    assert "class" in answer and "Red" not in answer and list(answer) == list(answer.names)
+    with pytest.raises(KeyError):
+        answer["Red"]

@@ -1,0 +1,156 @@
+"""Stores change under those who read them, and tell how far they are."""
+
+import threading
+
+import esker
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def scans(tmp_path):
+    return esker.generate("site", 30_000, tmp_path / "scans", scans=3)
+
+
+def test_answers_follow_the_store_and_snapshots_do_not(tmp_path, scans):
+    path = tmp_path / "site.esker"
+    esker.ingest(path, scans[0])
+    with esker.open(path) as store, store.snapshot() as before:
+        batches = store.batches(1000)
+        first = next(batches)
+        assert store.ingest(scans[1:])["points"] == 20_000
+        assert (store.count(), before.count()) == (30_000, 10_000)
+        assert (len(store.scans), len(before.scans)) == (3, 1)
+        assert store.generation > before.generation
+        assert len(first) + sum(len(b) for b in batches) == 10_000
+        assert store.remove("site_2")["points"] == 10_000
+        assert store.count() == 20_000
+        assert store.hide(["site_1", 3]) == ["site_1", "site_3"] and store.count() == 0
+        assert store.count(scans="site_1") == 10_000
+        assert store.show("site_1") == ["site_1"] and store.show("site_1") == []
+        assert store.replace("site_1", scans[1])["points"] == 10_000
+        store.compact()
+        digest = store.digest()
+        store.compact(tmp_path / "copy.esker")
+        with esker.open(tmp_path / "copy.esker") as copy:
+            assert copy.digest() == digest
+        with pytest.raises(esker.UnknownNameError, match="no scan 'site_7'"):
+            store.remove("site_7")
+        assert before.count() == 10_000
+
+
+def test_shards_are_merged(tmp_path, scans):
+    esker.ingest(tmp_path / "a.esker", scans[0])
+    esker.ingest(tmp_path / "b.esker", scans[1:], lattice=tmp_path / "a.esker")
+    merged = esker.merge(tmp_path / "ab.esker", [tmp_path / "a.esker", tmp_path / "b.esker"])
+    assert merged["points"] == 30_000
+    esker.ingest(tmp_path / "all.esker", scans)
+    digests = []
+    for name in ("ab.esker", "all.esker"):
+        with esker.open(tmp_path / name) as store:
+            digests.append(store.digest())
+    assert digests[0] == digests[1]
+    with pytest.raises(esker.ExistsError):
+        esker.merge(tmp_path / "ab.esker", [tmp_path / "a.esker"])
+
+
+def test_options_of_an_ingest(tmp_path, scans):
+    pose = np.eye(4)
+    pose[:3, 3] = [100, 0, 0]
+    report = esker.ingest(
+        tmp_path / "s.esker", scans[0], quantum=0.01, crs="EPSG:25832", name="moved", poses=[pose], memory=1 << 28, threads=1
+    )
+    assert report["scans"][0]["name"] == "moved"
+    with esker.open(tmp_path / "s.esker") as store:
+        info, scan = store.info, store.scans[0]
+    assert info["quantum"] == [0.01] * 3 and info["crs"]["horizontal_epsg"] == 25832
+    assert np.array_equal(np.reshape(scan["pose"], (4, 4)), pose)
+    (tmp_path / "rows.txt").write_text("1 2 3 40\n5 6 7 80\n")
+    esker.ingest(tmp_path / "t.esker", tmp_path / "rows.txt", columns=["x", "z", "y", "intensity"])
+    with esker.open(tmp_path / "t.esker") as store:
+        assert sorted(store.query()["z"]) == [2.0, 6.0]
+    with pytest.raises(esker.IngestError, match="neither EPSG"):
+        esker.ingest(tmp_path / "u.esker", scans[0], crs="here")
+    with pytest.raises(esker.IngestError, match="poses"):
+        esker.ingest(tmp_path / "u.esker", scans[0], poses=[np.eye(4)] * 2)
+
+
+def test_progress_is_told_and_what_it_raises_stops_the_ingest(tmp_path, large):
+    told = []
+    esker.ingest(tmp_path / "a.esker", large.files, progress=lambda *what: told.append(what))
+    assert {"reading", "building"} & {stage for stage, _, _ in told}
+    assert all(done >= 0 and total <= 1_000_000 for _, done, total in told)
+
+    def refuse(stage, done, total):
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        esker.ingest(tmp_path / "b.esker", large.files, progress=refuse)
+    assert esker.ingest(tmp_path / "b.esker", large.files)["points"] == 1_000_000
+
+
+def test_a_second_writer_is_refused(tmp_path, large, scans):
+    esker.ingest(tmp_path / "a.esker", scans[0])
+    refused = []
+
+    def meanwhile(stage, done, total):
+        if stage == "building" and not refused:
+            with pytest.raises(esker.InUseError):
+                esker.ingest(tmp_path / "a.esker", scans[1])
+            refused.append(stage)
+
+    esker.ingest(tmp_path / "a.esker", large.files, progress=meanwhile)
+    assert refused
+
+
+def test_thirty_two_threads_on_one_store(tmp_path, site, large):
+    """Every answer is that of one thread alone, while a scan is added to another store and the interpreter goes on."""
+    x, y = site.bounds[:, :2].mean(axis=0)
+    questions = [
+        {"box": (x, y, x + 10, y + 10)},
+        {"sphere": (x, y, 502, 8), "attributes": ["Intensity"]},
+        {"where": "Classification = 2", "max_error": 0.4},
+        {"capacity": 5000, "positions": "lattice"},
+        {"scans": "site_2", "masked": True},
+    ]
+    alone = [site.store.query(**q).points for q in questions]
+    wrong = []
+
+    def ask(i):
+        for round in range(5):
+            which = (i + round) % len(questions)
+            answer = site.store.query(**questions[which])
+            if not np.array_equal(answer.points, alone[which]):
+                wrong.append(which)
+            if sum(len(b) for b in site.store.batches(3000, **questions[which])) != len(alone[which]):
+                wrong.append(which)
+
+    threads = [threading.Thread(target=ask, args=(i,)) for i in range(32)]
+    adding = threading.Thread(target=esker.ingest, args=(tmp_path / "other.esker", large.files))
+    for thread in [adding, *threads]:
+        thread.start()
+    for thread in [adding, *threads]:
+        thread.join()
+    assert not wrong
+
+
+def test_readers_see_whole_generations_while_scans_come_and_go(tmp_path, scans):
+    path = tmp_path / "site.esker"
+    esker.ingest(path, scans[0])
+    seen, done = [], threading.Event()
+    with esker.open(path) as store:
+
+        def read():
+            while not done.is_set():
+                seen.append(len(store.query(attributes=[])))
+
+        readers = [threading.Thread(target=read) for _ in range(4)]
+        for reader in readers:
+            reader.start()
+        for _ in range(3):
+            store.ingest(scans[1:])
+            store.remove(["site_2", "site_3"])
+        done.set()
+        for reader in readers:
+            reader.join()
+    assert seen and set(seen) <= {10_000, 30_000}

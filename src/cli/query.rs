@@ -9,7 +9,7 @@ use super::{Outcome, output, values};
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
 use crate::geometry::Camera;
 use crate::points::Attribute;
-use crate::query::{Answer, AttributeSummary, Detail, Filter, Query, Region};
+use crate::query::{Answer, AttributeSummary, Detail, Filter, Policy, Query, Region};
 use crate::store::{Limits, Snapshot, Store, WorldBounds};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
@@ -33,12 +33,13 @@ use std::sync::Arc;
                   esker query site.esker --sphere 500010,5000020,130,5 --attributes Red,Green,Blue -o tree.ply\n  \
                   esker query site.esker --max-error 0.05 -o overview.laz\n  \
                   esker query site.esker --capacity 100000 -o - --format csv | head\n  \
-                  esker query site.esker --view view.json --capacity 2M -o view.laz\n  \
+                  esker query site.esker --view view.json --capacity 2M --explain\n  \
                   esker query site.esker --split-by class -o out.laz\n  \
                   esker query site.esker --scan north --frame scan -o north_local.las\n\n\
                   Boxes and polygons are half-open: neighbours share no point; `inf` is a number. Several --polygon are \
                   united, as are several of any kind; --polygon with --z is what is in both. Filters compare attributes with \
-                  numbers (= <> < <= > >=, between, in, is null, and, or, not), `scan` with names."
+                  numbers (= <> < <= > >=, between, in, is null, and, or, not), `scan` with names. Points come coarse to fine, \
+                  for a view near to far."
 )]
 pub(super) struct Arguments {
     /// The store.
@@ -46,11 +47,15 @@ pub(super) struct Arguments {
     #[command(flatten)]
     place: region::Where,
     /// What a camera needs: a view file in JSON.
-    #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["max_error", "spacing", "level"])]
+    #[arg(long, value_name = "VIEW.json")]
     view: Option<PathBuf>,
     /// For --view: stop where spacing is below so many pixels.
     #[arg(long, value_name = "PX", default_value = "1", value_parser = values::not_negative)]
     max_error_px: f64,
+    /// For --view: how points are spread: `screen`, the largest error in pixels first, or `distance`, ratios that fall with
+    /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.
+    #[arg(long, value_name = "POLICY", requires = "view")]
+    policy: Option<String>,
     /// Only points for which this is true, such as 'Classification in (2, 9)'.
     #[arg(long = "where", value_name = "EXPR")]
     filter: Option<String>,
@@ -94,6 +99,9 @@ pub(super) struct Arguments {
     /// Print the number of points, nothing else.
     #[arg(long, conflicts_with_all = ["output", "json"])]
     count: bool,
+    /// Say of every node why it is taken, tested, refused or cut, instead of giving points.
+    #[arg(long, conflicts_with_all = ["output", "count"])]
+    explain: bool,
     /// One JSON object on stdout.
     #[arg(long)]
     json: bool,
@@ -145,6 +153,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let snapshot = store.snapshot()?;
     let region = arguments.place.region(&snapshot.site().lattice)?;
     let query = query(arguments, region.clone())?;
+    if arguments.explain {
+        let explanation = query.explain(&snapshot)?;
+        warn(arguments, &snapshot, &region, &explanation.answer)?;
+        if arguments.json {
+            output::json(&serde_json::to_value(&explanation)?)?;
+        } else {
+            output::line(output::clean_lines(&explanation.to_string()))?;
+        }
+        return Ok(Outcome::Done);
+    }
     if arguments.count {
         let answer = query.count(&snapshot)?;
         warn(arguments, &snapshot, &region, &answer)?;
@@ -202,6 +220,9 @@ fn query(arguments: &Arguments, region: Region) -> anyhow::Result<Query> {
     if let Some(path) = &arguments.view {
         let camera = read_view(path)?;
         query = query.view(camera, arguments.max_error_px);
+        if let Some(text) = &arguments.policy {
+            query = query.policy(Policy::parse(text)?);
+        }
     }
     let detail = match (arguments.max_error, arguments.spacing, arguments.level) {
         (Some(error), ..) => Detail::MaxError(error),

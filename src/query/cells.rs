@@ -141,7 +141,7 @@ pub(crate) fn read_above(plan: &Plan, head: &Node, root: Cube, c: u8) -> Result<
 }
 
 /// The box of the cells of exponent `c` that `bounds` meets.
-fn cells_of(bounds: &LatticeBox, c: u8) -> LatticeBox {
+pub(crate) fn cells_of(bounds: &LatticeBox, c: u8) -> LatticeBox {
     let side = (1_u64 << c) - 1;
     LatticeBox {
         min: LatticePoint(bounds.min.0.map(|v| v >> c << c)),

@@ -11,6 +11,9 @@ pub enum QueryError {
     /// The region's numbers make no region.
     #[error("{0}")]
     Region(String),
+    /// The words that say how a view spreads its points mean nothing.
+    #[error("{0}")]
+    Policy(String),
     /// The filter cannot be read, or names what the store does not have.
     #[error(transparent)]
     Filter(#[from] FilterError),

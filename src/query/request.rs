@@ -1,6 +1,6 @@
 //! What is asked for.
 
-use super::{Cancel, Detail, Filter, Region};
+use super::{Cancel, Detail, Filter, Policy, Region};
 use crate::geometry::Camera;
 
 /// Which attributes an answer has.
@@ -51,6 +51,7 @@ pub struct Query {
     pub(super) view: Option<(Camera, f64)>,
     pub(super) threads: Option<usize>,
     pub(super) cancel: Option<Cancel>,
+    pub(super) policy: Policy,
 }
 
 impl Query {
@@ -132,10 +133,18 @@ impl Query {
     }
 
     /// What a camera needs: whole parts of the nodes in its view, coarse to fine, until every node's spacing is at most
-    /// `max_error_px` pixels or the capacity is used.
+    /// `max_error_px` pixels or the capacity is used. With a [`Detail`] as well it goes no finer than that. The points come
+    /// near to far.
     #[must_use]
     pub fn view(mut self, camera: Camera, max_error_px: f64) -> Self {
         self.view = Some((camera, max_error_px));
+        self
+    }
+
+    /// How a view spreads its points; by their error on the screen, if nothing is said.
+    #[must_use]
+    pub fn policy(mut self, policy: Policy) -> Self {
+        self.policy = policy;
         self
     }
 }

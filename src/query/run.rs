@@ -3,20 +3,23 @@
 use super::answer::{Answer, Meter, Stage};
 use super::batches::{Batches, Prepared};
 use super::capacity::{self, Chosen};
-use super::cells::Pick;
+use super::cells::{Pick, cells_of};
+use super::gaps::{self, Looked};
 use super::part::{Found, Look, Part};
 use super::plan::{Plan, Prospect, Scope};
+use super::policy::{Policy, select_by_distance};
 use super::stream::Source;
 use super::thin::{self, Unit, Units};
-use super::view::{ViewCut, select_view};
-use super::{Detail, Query, QueryError, Region, Summary};
-use crate::geometry::{Camera, Containment};
-use crate::lattice::LatticeBox;
+use super::view::{RelativeLattice, ViewCut, select};
+use super::{Query, QueryError, Region, Summary};
+use crate::geometry::{Camera, Containment, DVec3};
+use crate::lattice::{Key, LatticeBox};
 use crate::octree::even_order;
 use crate::points::Batch;
 use crate::store::model::PartHead;
 use crate::store::{Node, NodeIx, Snapshot};
 use rayon::prelude::*;
+use std::cmp::Reverse;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -194,16 +197,11 @@ impl Query {
         };
         let (source, answer) = match (&self.view, cell, self.capacity) {
             (Some((camera, max_error_px)), ..) => {
-                if self.detail != Detail::Everything {
-                    return Err(QueryError::Combination(
-                        "a view has its detail in pixels; leave out the level, spacing or max error",
-                    ));
-                }
                 if !(0.0..).contains(max_error_px) {
                     let (what, value) = ("the pixel error", *max_error_px);
                     return Err(QueryError::Detail { what, value, expected: "0 or more" });
                 }
-                let chosen = view(&plan, camera, *max_error_px, self.capacity, counting)?;
+                let chosen = view(&plan, self, camera, *max_error_px, cell, counting)?;
                 listed(&mut plan, chosen)
             }
             (None, None, None) => {
@@ -309,16 +307,23 @@ fn everything(plan: &mut Plan, region: &Region, counting: bool) -> Result<(Vec<T
                 known += node.own_points;
             } else if prospect != Prospect::Nothing {
                 Meter::add(&plan.meter.nodes, 1);
+                let k = node.cube.k();
                 let task = |(part, facts): (usize, &PartHead)| {
                     let (node, points) = (node.ix(), facts.points);
-                    Task::Part { node, part, points, prospect }
+                    (k, Task::Part { node, part, points, prospect })
                 };
                 tasks.extend(node.parts.iter().enumerate().map(task));
             }
             Ok(true)
         })
     })?;
-    Ok((tasks, answer(known, Some(0.0))))
+    coarse_first(&mut tasks);
+    Ok((tasks.into_iter().map(|(_, task)| task).collect(), answer(known, Some(0.0))))
+}
+
+/// Coarse to fine, so that who stops early has all of it thinned; nodes of one size keep the order of the tree.
+fn coarse_first(tasks: &mut [(u8, Task)]) {
+    tasks.sort_by_key(|(k, _)| Reverse(*k));
 }
 
 /// Points that were chosen by their places.
@@ -329,7 +334,13 @@ fn picked(plan: &Plan, chosen: Chosen, counting: bool) -> Result<(Vec<Task>, Ans
         return Ok((Vec::new(), answer));
     }
     picks.par_sort_unstable_by_key(|p| (p.node, p.part, p.index));
-    let tasks = by_part(plan, &picks)?;
+    let mut tasks = Vec::new();
+    for task in by_part(plan, &picks)? {
+        let Task::Picked { node, .. } = &task else { continue };
+        tasks.push((plan.nodes.node(*node)?.cube.k(), task));
+    }
+    coarse_first(&mut tasks);
+    let tasks: Vec<Task> = tasks.into_iter().map(|(_, task)| task).collect();
     let node = |task: &Task| match task {
         Task::Picked { node, .. } => Some(*node),
         _ => None,
@@ -354,14 +365,22 @@ pub(crate) fn by_part(plan: &Plan, picks: &[Pick]) -> Result<Vec<Task>, QueryErr
 /// What a camera needs.
 fn view(
     plan: &Plan,
+    query: &Query,
     camera: &Camera,
     max_error_px: f64,
-    capacity: Option<u64>,
+    finest: Option<u8>,
     counting: bool,
 ) -> Result<(Vec<Task>, Answer), QueryError> {
     let (tasks, answer) = if plan.is_unfiltered() && plan.region.is_everything() {
-        let selection = plan.meter.time(Stage::Selecting, || {
-            select_view(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, capacity)
+        let selection = plan.meter.time(Stage::Selecting, || match &query.policy {
+            Policy::Screen => {
+                let all = |_: &Node| Ok::<_, QueryError>(true);
+                let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, all)?;
+                select(&mut cut.no_finer_than(finest), query.capacity)
+            }
+            Policy::Distance(policy) => {
+                select_by_distance(&plan.nodes, &plan.lattice, plan.g, camera, policy, query.capacity)
+            }
         })?;
         Meter::add(&plan.meter.nodes_visited, selection.nodes_visited);
         let picked = selection.parts.iter().map(|selected| {
@@ -379,7 +398,12 @@ fn view(
         // Only what is to be delivered is worth listing point by point.
         (if counting { Vec::new() } else { picked.collect::<Result<_, QueryError>>()? }, answer)
     } else {
-        plan.meter.time(Stage::Selecting, || filtered_view(plan, camera, max_error_px, capacity))?
+        if query.policy != Policy::Screen {
+            return Err(QueryError::Combination(
+                "the distance policy counts stored points; leave out filter, region and scans, or --policy",
+            ));
+        }
+        plan.meter.time(Stage::Selecting, || filtered_view(plan, camera, max_error_px, finest, query.capacity))?
     };
     let node = |task: &Task| match task {
         Task::Picked { node, .. } => Some(*node),
@@ -388,69 +412,118 @@ fn view(
     let nodes: std::collections::BTreeSet<NodeIx> = tasks.iter().filter_map(node).collect();
     Meter::add(&plan.meter.nodes, nodes.len() as u64);
     // They are counted once more as they are handed on.
-    if counting { Ok((Vec::new(), answer)) } else { Ok((tasks, answer)) }
+    if counting { Ok((Vec::new(), answer)) } else { Ok((near_first(plan, camera, tasks)?, answer)) }
+}
+
+/// Near to far, so that who stops early has the foreground. A node comes before those below it, since the bounds of its
+/// subtree hold theirs.
+fn near_first(plan: &Plan, camera: &Camera, tasks: Vec<Task>) -> Result<Vec<Task>, QueryError> {
+    let lattice = RelativeLattice::new(&plan.lattice, camera.eye());
+    let mut placed = Vec::with_capacity(tasks.len());
+    for task in tasks {
+        let Task::Picked { node, part, .. } = &task else { continue };
+        let head = plan.nodes.node(*node)?;
+        let distance = lattice.relative(&head.subtree_bounds).map_or(f64::INFINITY, |b| b.distance_to(DVec3::ZERO));
+        placed.push(((distance.to_bits(), Reverse(head.cube.k()), *node, *part), task));
+    }
+    placed.sort_by_key(|(place, _)| *place);
+    Ok(placed.into_iter().map(|(_, task)| task).collect())
 }
 
 /// The same sequence of parts, of which only the matching points count.
 ///
-/// A point that stands for others may be one that does not match, so there is no bound unless all that is visible is
-/// taken.
+/// Of each part also the points that do not match are looked at: they say where a coarse point is missing, and so how far
+/// what was left out can be from what was returned.
 fn filtered_view(
     plan: &Plan,
     camera: &Camera,
     max_error_px: f64,
+    finest: Option<u8>,
     capacity: Option<u64>,
 ) -> Result<(Vec<Task>, Answer), QueryError> {
-    let may = |node: &Node| Ok::<_, QueryError>(plan.prospect(node, Scope::Subtree)? != Prospect::Nothing);
-    let mut cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, may)?;
+    let begin = || {
+        let may = |node: &Node| Ok::<_, QueryError>(plan.prospect(node, Scope::Subtree)? != Prospect::Nothing);
+        let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, may)?;
+        Ok::<_, QueryError>(cut.no_finer_than(finest))
+    };
+    let mut cut = begin()?;
+    let mut looked = Looked::default();
     let mut tasks: Vec<Task> = Vec::new();
     let mut left = capacity.unwrap_or(u64::MAX);
-    let mut total = 0;
-    let mut cut_short = false;
+    let (mut total, mut parts, mut cut_short) = (0, 0_usize, false);
     while left > 0 {
         let window = std::iter::from_fn(|| cut.advance().transpose()).take(VIEW_WINDOW);
         let window: Vec<(Node, usize)> = window.collect::<Result<_, _>>()?;
         if window.is_empty() {
             break;
         }
-        let matched = plan.each(window.clone(), |(node, part)| matching_indices(plan, &node, part))?;
-        for ((node, part), indices) in window.iter().zip(matched) {
-            if indices.is_empty() {
-                continue;
-            }
+        let matched = plan.each(window.clone(), |(node, part)| matching(plan, &node, part))?;
+        for ((node, part), matched) in window.iter().zip(matched) {
             if left == 0 {
-                cut_short = true;
                 break;
             }
-            let indices = if indices.len() as u64 > left {
+            parts += 1;
+            let Matching { mut indices, mut keys, missed } = matched;
+            looked.missed.extend(missed);
+            let all = node.parts[*part].points;
+            if indices.len() as u64 > left {
                 cut_short = true;
-                let all = node.parts[*part].points;
-                let matches = |i: &u32| indices.binary_search(i).is_ok();
-                let mut some: Vec<u32> = even_order(all).filter(matches).take(left as usize).collect();
+                let place = |i: u32| indices.binary_search(&i).ok();
+                let mut some: Vec<usize> = even_order(all).filter_map(place).take(left as usize).collect();
                 some.sort_unstable();
-                some
-            } else {
-                indices
-            };
+                keys = some.iter().map(|&i| keys[i]).collect();
+                indices = some.into_iter().map(|i| indices[i]).collect();
+            }
             left -= indices.len() as u64;
             total += indices.len() as u64;
-            let (node, part, points) = (node.ix(), *part, node.parts[*part].points);
-            tasks.push(Task::Picked { node, part, points, indices: Some(indices) });
+            looked.returned.extend(keys);
+            if !indices.is_empty() {
+                tasks.push(Task::Picked { node: node.ix(), part: *part, points: all, indices: Some(indices) });
+            }
+        }
+    }
+    Meter::add(&plan.meter.nodes_visited, cut.visited());
+    if left == 0 {
+        // The window went on beyond what was taken: again as far as that.
+        cut = begin()?;
+        for _ in 0..parts {
+            cut.advance()?;
+        }
+        if cut_short {
+            cut.take_back();
         }
     }
     let complete = !cut_short && cut.is_complete();
-    Meter::add(&plan.meter.nodes_visited, cut.visited());
-    let bound = complete.then_some(0.0);
-    Ok((tasks, Answer { points: total, error_bound: bound, error_bound_px: bound, ..Answer::default() }))
+    let gaps = cut.gaps();
+    let (bound, px) =
+        if complete { (Some(0.0), Some(0.0)) } else { gaps::bound(looked, &gaps, &plan.metric(), camera) };
+    Ok((tasks, Answer { points: total, error_bound: bound, error_bound_px: px, ..Answer::default() }))
 }
 
-/// The points of a part that match, by index, ascending.
-fn matching_indices(plan: &Plan, node: &Node, part: usize) -> Result<Vec<u32>, QueryError> {
-    let look = Look { skips: &outside(plan), misses: false, positions: false };
-    let found = Part::new(plan, node, part).find(&look)?;
-    let indices = found.iter().flat_map(|Found { block, mask, .. }| {
+/// What was found in a part.
+struct Matching {
+    /// The points that match, ascending, and their keys.
+    indices: Vec<u32>,
+    keys: Vec<Key>,
+    /// The keys of those that do not, as far as something may match in their cells.
+    missed: Vec<(u16, Key)>,
+}
+
+fn matching(plan: &Plan, node: &Node, part: usize) -> Result<Matching, QueryError> {
+    let cell = node.cube.k().saturating_sub(plan.g);
+    let skips = |bounds: &LatticeBox| outside(plan)(&cells_of(bounds, cell));
+    let look = Look { skips: &skips, misses: true, positions: true };
+    let mut result = Matching { indices: Vec::new(), keys: Vec::new(), missed: Vec::new() };
+    for Found { block, content, mask } in Part::new(plan, node, part).find(&look)? {
         let first = (block * crate::codec::BLOCK_POINTS) as u32;
-        mask.indices().into_iter().map(move |i| first + i)
-    });
-    Ok(indices.collect())
+        for (i, point) in content.positions.iter().enumerate() {
+            if mask.contains(i) {
+                result.indices.push(first + i as u32);
+                result.keys.push(Key::of(point));
+            } else {
+                result.missed.push((node.layer, Key::of(point)));
+            }
+        }
+    }
+    Ok(result)
 }

@@ -347,7 +347,11 @@ fn names_and_numbers_that_make_no_sense_are_refused() {
     assert!(error(Query::new().detail(Detail::Spacing(f64::NAN))).contains("spacing"));
     assert!(error(Query::new().filter(Filter::parse("hight = 2").unwrap())).contains("\"height\""));
     let camera = serde_json::from_str(r#"{"eye":[0,0,0],"target":[1,0,0]}"#).unwrap();
-    assert!(error(Query::new().view(camera, 1.0).detail(Detail::Level(2))).contains("view"));
+    let camera: crate::geometry::Camera = camera;
+    assert!(error(Query::new().view(camera.clone(), -1.0)).contains("pixel"));
+    let policy = Policy::Distance(DistancePolicy::default());
+    let filtered = Query::new().view(camera, 1.0).policy(policy).filter(Filter::parse("height = 2").unwrap());
+    assert!(error(filtered).contains("distance policy"));
 }
 
 #[test]

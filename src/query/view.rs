@@ -4,6 +4,7 @@
 //! spacing is largest on the image. The sequence depends on the camera and the pixel threshold, never on the capacity,
 //! which only says where it ends.
 
+use super::gaps::Gap;
 use crate::geometry::{Camera, Containment, DVec3, Frustum, WorldBox};
 use crate::lattice::{BIAS, BITS, Lattice, LatticeBox, NodeKey};
 use crate::octree::{Metric, Step};
@@ -54,7 +55,15 @@ pub fn select_view(
     max_error_px: f64,
     capacity: Option<u64>,
 ) -> Result<Selection, StoreError> {
-    let mut cut = ViewCut::new(nodes, lattice, g, camera, max_error_px, |_| Ok::<_, StoreError>(true))?;
+    let cut = ViewCut::new(nodes, lattice, g, camera, max_error_px, |_| Ok::<_, StoreError>(true))?;
+    select(&mut { cut }, capacity)
+}
+
+/// The first `capacity` points of a cut.
+pub(crate) fn select<E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>>(
+    cut: &mut ViewCut<F>,
+    capacity: Option<u64>,
+) -> Result<Selection, E> {
     let mut selection = Selection::default();
     let mut left = capacity.unwrap_or(u64::MAX);
     while left > 0 {
@@ -90,7 +99,33 @@ pub(crate) struct ViewCut<'a, F> {
     current: Option<(Node, f64, usize)>,
     /// The largest bounds of what is left below the threshold for good.
     settled: (f64, f64),
+    /// The same one by one.
+    left: Vec<Gap>,
+    /// Cells of this exponent are fine enough, however many pixels they have.
+    finest: Option<u8>,
+    /// Nodes that were refused, if that is to be told.
+    refused: Option<Vec<(Node, Refusal)>>,
     visited: u64,
+}
+
+/// Why a node is not taken, apart from a capacity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Refusal {
+    /// No place of it is on the image.
+    OutOfView,
+    /// None of its points can match.
+    NoMatch,
+    /// What is there is as fine as was asked for.
+    FineEnough,
+}
+
+/// The nodes of a cut that were not taken.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Refusals {
+    /// Those that were refused.
+    pub refused: Vec<(Node, Refusal)>,
+    /// Those that still wait, with the pixels of their spacing.
+    pub waiting: Vec<(Node, f64)>,
 }
 
 /// A node that is worth taking, whose parent is fully taken.
@@ -147,6 +182,9 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
             heap: BinaryHeap::new(),
             current: None,
             settled: (0.0, 0.0),
+            left: Vec::new(),
+            finest: None,
+            refused: None,
             visited: 0,
         };
         for root in nodes.roots()? {
@@ -157,11 +195,39 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
         Ok(cut)
     }
 
+    /// Begins to note why nodes are refused; to be called before the first part.
+    pub fn note_refusals(&mut self) {
+        self.refused = Some(Vec::new());
+    }
+
+    /// The nodes that were refused since, and those that still wait.
+    pub fn refusals(&self) -> Refusals {
+        let waiting = self.heap.iter().map(|w| (w.node.clone(), w.spacing_px)).collect();
+        Refusals { refused: self.refused.clone().unwrap_or_default(), waiting }
+    }
+
+    /// The same, going no finer than cells of this exponent.
+    #[must_use]
+    pub fn no_finer_than(mut self, cell: Option<u8>) -> Self {
+        self.finest = cell;
+        self
+    }
+
+    /// Is a cell of this exponent fine enough, at this distance?
+    fn suffices(&self, cell: i16, distance: f64) -> bool {
+        self.finest.is_some_and(|finest| cell <= i16::from(finest))
+            || self.spacing_px(cell, distance) <= self.max_error_px
+    }
+
     /// The distance of a subtree from the eye, if any of it can be on the image.
     fn visible(&mut self, node: &Node) -> Result<Option<f64>, E> {
         self.visited += 1;
         let Some(relative) = self.lattice.relative(&node.subtree_bounds) else { return Ok(None) };
-        let seen = self.frustum.classify(&relative) != Containment::Outside && (self.may)(node)?;
+        let in_view = self.frustum.classify(&relative) != Containment::Outside;
+        let seen = in_view && (self.may)(node)?;
+        if let Some(refused) = self.refused.as_mut().filter(|_| !seen) {
+            refused.push((node.clone(), if in_view { Refusal::NoMatch } else { Refusal::OutOfView }));
+        }
         // What is nearer than the near plane is not seen.
         let near = self.camera.near();
         Ok(seen.then(|| relative.distance_to(DVec3::ZERO).max(near)))
@@ -188,7 +254,8 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
                     continue;
                 }
                 if self.is_fine_enough(&node, taken, distance) {
-                    let bound = self.metric.after_parts(&node, taken);
+                    let bound = after_parts(&self.metric, &node, taken);
+                    self.left.push(partly_taken(&node, taken, self.g, distance));
                     self.settle(bound, distance);
                     continue;
                 }
@@ -212,7 +279,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
         let step = taken.checked_sub(1).and_then(|last| head.parts[last].last_step);
         step.is_some_and(|Step { win, group }| {
             let cell = i16::from(win) + i16::from(group < 3);
-            self.spacing_px(cell, distance) <= self.max_error_px
+            self.suffices(cell, distance)
         })
     }
 
@@ -220,9 +287,13 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
         let cell = i16::from(node.cube.k()) - i16::from(self.g);
         for child in self.nodes.children(node)? {
             let Some(distance) = self.visible(&child)? else { continue };
-            if self.spacing_px(cell, distance) > self.max_error_px {
+            if !self.suffices(cell, distance) {
                 self.wait(child, distance);
             } else {
+                self.left.push(not_begun(&child, self.g, distance));
+                if let Some(refused) = &mut self.refused {
+                    refused.push((child, Refusal::FineEnough));
+                }
                 self.settle(self.metric.step_bound(cell as i8, 7), distance);
             }
         }
@@ -254,7 +325,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
                 if !any {
                     return Ok((None, None));
                 }
-                include(self.metric.after_parts(head, taken), distance);
+                include(after_parts(&self.metric, head, taken), distance);
             } else if !head.leaf {
                 let cell = head.cube.k() as i8 - self.g as i8;
                 for child in self.nodes.children(head)? {
@@ -266,6 +337,25 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
             }
         }
         Ok((Some(bounds.0), Some(bounds.1).filter(|px| px.is_finite())))
+    }
+
+    /// Where not everything was taken.
+    pub fn gaps(&self) -> Vec<Gap> {
+        let mut gaps = self.left.clone();
+        gaps.extend(self.heap.iter().map(|w| not_begun(&w.node, self.g, w.distance)));
+        if let Some((head, distance, taken)) = &self.current {
+            let (distance, taken) = (*distance, *taken);
+            if taken < head.parts.len() {
+                gaps.push(match complete_step(head, taken) {
+                    Some(_) => partly_taken(head, taken, self.g, distance),
+                    None => not_begun(head, self.g, distance),
+                });
+            } else if !head.leaf && head.children != 0 {
+                let cell = head.cube.k().saturating_sub(self.g);
+                gaps.push(Gap { cube: head.cube, layer: head.layer, cell: Some(cell), distance });
+            }
+        }
+        gaps
     }
 
     /// Is there nothing left that the threshold or the capacity left out?
@@ -281,24 +371,36 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
     }
 }
 
-trait AfterParts {
-    fn after_parts(&self, head: &NodeHead, taken: usize) -> f64;
+/// The last step that is complete once the first `taken` parts of a node are there.
+fn complete_step(head: &NodeHead, taken: usize) -> Option<Step> {
+    head.parts[..taken].iter().rev().find_map(|p| p.last_step)
 }
 
-impl AfterParts for Metric {
-    /// The bound once the first `taken` parts of a node are there, and of the next nothing for sure.
-    fn after_parts(&self, head: &NodeHead, taken: usize) -> f64 {
-        let complete = head.parts[..taken].iter().rev().find_map(|p| p.last_step);
-        match (complete, head.parts.first()) {
-            (Some(step), _) => self.after(step),
-            (None, Some(first)) => self.before(first.first_step),
-            (None, None) => 0.0,
-        }
+/// A node of which the first parts are there.
+fn partly_taken(head: &NodeHead, taken: usize, g: u8, distance: f64) -> Gap {
+    // After the last group of a step all cells of its size have their first point, after another those of twice the size.
+    let cell = complete_step(head, taken).map(|s| (i16::from(s.win) + i16::from(s.group < 3)).max(0) as u8);
+    let of_parent = (head.cube.k() + 1).saturating_sub(g);
+    Gap { cube: head.cube, layer: head.layer, cell: Some(cell.unwrap_or(of_parent)), distance }
+}
+
+/// A node of which nothing is there; its parent, if it is no root, is taken.
+fn not_begun(head: &Node, g: u8, distance: f64) -> Gap {
+    let cell = (!head.is_root()).then(|| (head.cube.k() + 1).saturating_sub(g));
+    Gap { cube: head.cube, layer: head.layer, cell, distance }
+}
+
+/// The bound once the first `taken` parts of a node are there, and of the next nothing for sure.
+pub(crate) fn after_parts(metric: &Metric, head: &NodeHead, taken: usize) -> f64 {
+    match (complete_step(head, taken), head.parts.first()) {
+        (Some(step), _) => metric.after(step),
+        (None, Some(first)) => metric.before(first.first_step),
+        (None, None) => 0.0,
     }
 }
 
 /// Lattice coordinates relative to an eye, without the loss that world coordinates would bring.
-struct RelativeLattice {
+pub(crate) struct RelativeLattice {
     /// A lattice point near the eye, and the eye minus its world coordinates.
     anchor: [i64; 3],
     rest: [f64; 3],
@@ -306,7 +408,7 @@ struct RelativeLattice {
 }
 
 impl RelativeLattice {
-    fn new(lattice: &Lattice, eye: DVec3) -> Self {
+    pub fn new(lattice: &Lattice, eye: DVec3) -> Self {
         let anchor: [i64; 3] = std::array::from_fn(|i| {
             let beyond = if eye[i] < lattice.world_on_axis(i, BIAS as u64) { 0 } else { (1 << BITS) - 1 };
             lattice.nearest_index(i, eye[i]).unwrap_or(beyond) as i64
@@ -315,7 +417,7 @@ impl RelativeLattice {
         Self { anchor, rest, quantum: lattice.quantum_f64() }
     }
 
-    fn relative(&self, bounds: &LatticeBox) -> Option<WorldBox> {
+    pub fn relative(&self, bounds: &LatticeBox) -> Option<WorldBox> {
         let corner = |p: [u64; 3]| {
             std::array::from_fn(|i| (p[i] as i64 - self.anchor[i]) as f64 * self.quantum[i] - self.rest[i])
         };

@@ -58,7 +58,7 @@ fn regions_are_refused_with_the_place_and_the_reason() {
 }
 
 #[test]
-fn names_and_details_are_refused_with_what_there_is() {
+fn names_details_and_policies_are_refused_with_what_there_is() {
     let folder = tempfile::tempdir().unwrap();
     let (store, path) = site(&folder);
     let refused = |code: i32, arguments: &[&str], words: &[&str]| {
@@ -80,6 +80,11 @@ fn names_and_details_are_refused_with_what_there_is() {
     refused(2, &["--spacing", "0"], &["0"]);
     refused(2, &["--level", "-1"], &["-1"]);
     refused(2, &["--max-error", "1", "--spacing", "1"], &["cannot be used"]);
+    fs::write(path("view.json"), "{\"eye\":[770050,6277050,500],\"target\":[770050,6277050,0]}").unwrap();
+    let view = path("view.json");
+    refused(1, &["--view", &view, "--policy", "near"], &["near", "screen and distance"]);
+    refused(1, &["--view", &view, "--policy", "distance,amount=-1"], &["amount", "-1"]);
+    refused(1, &["--view", &view, "--policy", "distance", "--where", "Intensity > 5"], &["distance policy"]);
     refused(1, &["--split-by", "class", "-o", "-", "--format", "csv"], &["file name"]);
     refused(1, &["-o", &path("out.shp")], &["shp", ".npy"]);
     assert!(!folder.path().join("out.shp").exists());

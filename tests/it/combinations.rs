@@ -22,6 +22,9 @@ struct Point {
 /// Scans of one tile in one store: two halves, and the winners of the coarse cells.
 const SCANS: [&str; 3] = ["north", "south", "winners"];
 
+/// What a filter means.
+type Matches = Box<dyn Fn(&Point) -> bool>;
+
 struct Site {
     snapshot: Snapshot,
     lattice: Lattice,
@@ -173,7 +176,7 @@ impl Site {
     }
 
     /// A filter, and what it means.
-    fn filter(&self, random: &mut Random) -> (Option<String>, Box<dyn Fn(&Point) -> bool>) {
+    fn filter(&self, random: &mut Random) -> (Option<String>, Matches) {
         let level = self.any(random).intensity;
         match random.below(8) {
             0 => (Some(format!("Intensity > {level}")), Box::new(move |p| p.intensity > level)),

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::geometry::{Camera, DVec3, Projection};
+use crate::lattice::LatticePoint;
 use crate::octree::even_order;
 
 fn camera(test: &TestStore, eye: [f64; 3], size: u32) -> Camera {
@@ -59,7 +60,7 @@ proptest! {
     }
 
     #[test]
-    fn views_under_a_filter_nest_and_promise_only_what_is_complete(
+    fn views_under_a_filter_nest_and_keep_their_promise(
         places in places(120), params in params(), eye in eye(), asked in asked(),
     ) {
         let test = store(&[numbered(places)], params, None);
@@ -68,14 +69,19 @@ proptest! {
         let seen: Vec<Point> = visible(&test, &camera).into_iter().filter(|p| matches(p)).collect();
         let (all, _) = collect(asked.query(&test).view(camera.clone(), 1.0), &test);
         prop_assert!(all.iter().all(&matches));
-        let mut before: Vec<Point> = Vec::new();
+        let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
         for capacity in 0..=all.len() + 1 {
             let (found, answer) = collect(asked.query(&test).view(camera.clone(), 1.0).capacity(capacity as u64), &test);
             let found = ascending(found);
             prop_assert_eq!(found.len(), capacity.min(all.len()));
             prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()));
-            if let Some(bound) = answer.error_bound {
-                prop_assert!(hausdorff(&seen, &found) <= bound * SLACK);
+            match answer.error_bound {
+                Some(bound) => {
+                    prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
+                    prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
+                    last = Some(bound);
+                }
+                None => prop_assert!(found.is_empty() && last.is_none(), "{} points and no bound", capacity),
             }
             before = found;
         }
@@ -83,6 +89,149 @@ proptest! {
         let finest = ascending(finest);
         prop_assert!(seen.iter().all(|p| finest.binary_search(p).is_ok()));
         prop_assert_eq!(answer.error_bound, Some(0.0));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn the_policy_of_distance_uses_the_capacity_and_nests(
+        places in places(120), params in params(), eye in eye(), amount in 0.5_f64..4.0, levels in 2_u32..20,
+        split in prop::option::of(0.5_f64..30.0), min_ratio in prop::sample::select(vec![0.0, 0.001, 0.3, 1.0]),
+        distance in prop::sample::select(vec![
+            CubeDistance::Center, CubeDistance::Minimum, CubeDistance::Maximum, CubeDistance::Mean,
+        ]),
+    ) {
+        let test = store(&[numbered(places)], params, None);
+        let camera = camera(&test, eye, 300);
+        let seen = visible(&test, &camera);
+        let policy = Policy::Distance(DistancePolicy { amount, levels, min_ratio, distance, split });
+        let query = || Query::new().with_scans(true).view(camera.clone(), 1.0).policy(policy);
+        let (all, whole) = collect(query(), &test);
+        prop_assert_eq!(whole.error_bound, Some(0.0));
+        let all = ascending(all);
+        prop_assert!(seen.iter().all(|p| all.binary_search(p).is_ok()));
+        let mut before: Vec<Point> = Vec::new();
+        for capacity in 0..=all.len() + 1 {
+            let (found, answer) = collect(query().capacity(capacity as u64), &test);
+            let found = ascending(found);
+            prop_assert_eq!(found.len(), capacity.min(all.len()));
+            prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
+            match answer.error_bound {
+                Some(bound) => prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound),
+                None => prop_assert!(found.len() < test.points.len()),
+            }
+            before = found;
+        }
+    }
+
+    #[test]
+    fn explanations_account_for_every_point(
+        places in places(120), params in params(), asked in asked(), eye in eye(), view in any::<bool>(),
+        capacity in prop::option::of(0_u64..100), c in prop::option::of(0_u8..6),
+    ) {
+        let test = store(&[numbered(places)], params, None);
+        let mut query = asked.query(&test);
+        if view {
+            query = query.view(camera(&test, eye, 64), 1.0);
+        }
+        if let Some(capacity) = capacity {
+            query = query.capacity(capacity);
+        }
+        if let Some(c) = c {
+            query = query.detail(Detail::Spacing(2_f64.powi(c.into()) * QUANTUM));
+        }
+        let explained = query.explain(&test.snapshot).unwrap();
+        let answer = query.count(&test.snapshot).unwrap();
+        prop_assert_eq!(explained.answer.points, answer.points);
+        // What is said to be taken is in the answer; together with what is not known it is all of it.
+        let sum: u64 = explained.nodes.iter().filter_map(|n| n.taken).sum();
+        let open = explained.nodes.iter().any(|n| n.taken.is_none());
+        prop_assert!(if open { sum <= answer.points } else { sum == answer.points }, "{} of {:?}", sum, explained);
+        prop_assert!(explained.nodes.iter().all(|n| !n.reason.is_empty() && n.taken.is_none_or(|t| t <= n.points)));
+        let text = explained.to_string();
+        prop_assert_eq!(text.lines().count(), explained.nodes.len() + 2);
+    }
+}
+
+#[test]
+fn a_small_change_of_view_or_capacity_changes_few_points() {
+    let test = store(&[surface(120_000)], Params { g: 5, leaf_capacity: 2000 }, None);
+    let points = |eye: [f64; 3], capacity: u64, policy| {
+        let query = Query::new().with_scans(true).view(camera(&test, eye, 900), 0.0).policy(policy).capacity(capacity);
+        let (found, answer) = collect(query, &test);
+        // The view holds more than that, so all of it is used.
+        assert_eq!(answer.points, capacity);
+        ascending(found)
+    };
+    for policy in [Policy::Screen, Policy::Distance(DistancePolicy::default())] {
+        let eye = [-60.0, -40.0, 30.0];
+        let here = points(eye, 20_000, policy);
+        // Half a percent of the distance, or of the capacity.
+        let moved = points([-59.8, -40.2, 30.2], 20_000, policy);
+        let lost = here.iter().filter(|p| moved.binary_search(p).is_err()).count();
+        assert!(lost < 1000, "{lost} of 20000 points changed with the view, {policy:?}");
+        let more = points(eye, 20_100, policy);
+        let lost = here.iter().filter(|p| more.binary_search(p).is_err()).count();
+        assert_eq!(lost, 0, "{policy:?}");
+    }
+}
+
+#[test]
+fn views_come_near_to_far_and_regions_coarse_to_fine() {
+    let test = store(&[surface(60_000)], Params { g: 5, leaf_capacity: 2000 }, None);
+    let camera = camera(&test, [-60.0, -40.0, 30.0], 900);
+    let spread = |query: Query| {
+        let mut batches: Vec<Vec<LatticePoint>> = Vec::new();
+        query
+            .run(&test.snapshot, |batch| {
+                batches.push(batch.positions.iter().collect());
+                std::ops::ControlFlow::Continue(())
+            })
+            .unwrap();
+        batches
+    };
+    let nearest = |batch: &Vec<LatticePoint>| {
+        let distance =
+            |p: &LatticePoint| (DVec3::from_array(test.lattice.world_from_lattice(*p)) - camera.eye()).length();
+        batch.iter().map(distance).fold(f64::INFINITY, f64::min)
+    };
+    let batches = spread(Query::new().view(camera.clone(), 1.0));
+    let (first, last) = (&batches[batches.len() / 4], &batches[batches.len() - 1]);
+    assert!(batches.len() > 20 && nearest(first) < nearest(last), "{} and {}", nearest(first), nearest(last));
+    // Coarse to fine: the first tenth of a region's answer reaches everywhere, the least distance of its points is large.
+    let batches = spread(Query::new());
+    let head: Vec<LatticePoint> = batches.iter().flatten().take(6000).copied().collect();
+    let all: Vec<LatticePoint> = batches.iter().flatten().copied().collect();
+    let some: Vec<LatticePoint> = all.iter().step_by(100).copied().collect();
+    let reach = naive::hausdorff(&some, &head, [QUANTUM; 3]);
+    let even = naive::hausdorff(&some, &all.iter().copied().rev().take(6000).collect::<Vec<_>>(), [QUANTUM; 3]);
+    assert!(reach * 4.0 < even, "{reach} against {even} for the last ones");
+}
+
+#[test]
+fn policies_are_read_from_text() {
+    assert_eq!(Policy::parse("screen").unwrap(), Policy::Screen);
+    let read = Policy::parse("distance, amount=1.5, levels=8, cube=mean, min-ratio=0.1, split=12").unwrap();
+    let expected =
+        DistancePolicy { amount: 1.5, levels: 8, min_ratio: 0.1, distance: CubeDistance::Mean, split: Some(12.0) };
+    assert_eq!(read, Policy::Distance(expected));
+    for bad in [
+        "",
+        "near",
+        "screen,amount=1",
+        "distance,amount=-1",
+        "distance,amount=nan",
+        "distance,levels=1.5",
+        "distance,levels=1",
+        "distance,min-ratio=2",
+        "distance,split=0",
+        "distance,cube=far",
+        "distance,more=1",
+        "distance,amount=x",
+    ] {
+        assert!(Policy::parse(bad).is_err(), "{bad}");
     }
 }
 

@@ -1,0 +1,95 @@
+//! What a view under a filter may have left out, and how far that can be from what it has (OCTREE section 6).
+//!
+//! In a gap the first points of all cells of some size are known; those that match were returned. A cell whose first point
+//! does not match is a hole: what lies in it is as near as the smallest cell around it that holds a returned point says.
+
+use crate::geometry::Camera;
+use crate::lattice::{BITS, Cube, Key};
+use crate::octree::Metric;
+
+/// A cube in which a cut did not take everything.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Gap {
+    pub cube: Cube,
+    pub layer: u16,
+    /// The first points of cells of this exponent were taken; `None`: not even that of the whole cube.
+    pub cell: Option<u8>,
+    /// From the eye to the nearest place of it that can be seen.
+    pub distance: f64,
+}
+
+/// The keys of the points that were looked at.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Looked {
+    /// Those that are in the answer.
+    pub returned: Vec<Key>,
+    /// Those that do not match, each with its layer.
+    pub missed: Vec<(u16, Key)>,
+}
+
+/// Within which distance of a returned point everything in the gaps lies, in CRS units and in pixels; `None` if nothing was
+/// returned of something. No larger for an answer that holds more of the same sequence.
+pub(crate) fn bound(mut looked: Looked, gaps: &[Gap], metric: &Metric, camera: &Camera) -> (Option<f64>, Option<f64>) {
+    if gaps.is_empty() {
+        return (Some(0.0), Some(0.0));
+    }
+    if looked.returned.is_empty() {
+        return (None, None);
+    }
+    looked.returned.sort_unstable();
+    looked.missed.sort_unstable();
+    let (mut world, mut px) = (0.0_f64, 0.0_f64);
+    for gap in gaps {
+        let (first, last) = (gap.cube.first_key(), gap.cube.last_key());
+        let mut cell = gap.cell;
+        match gap.cell {
+            None => cell = smallest_around(&looked.returned, first, gap.cube.k()),
+            Some(c) => {
+                let from = looked.missed.partition_point(|m| *m < (gap.layer, first));
+                let to = looked.missed.partition_point(|m| *m <= (gap.layer, last));
+                let mut before = None;
+                for (_, key) in &looked.missed[from..to] {
+                    let hole = key.floor(c);
+                    if before.replace(hole) != Some(hole) {
+                        cell = cell.max(smallest_around(&looked.returned, hole, c));
+                    }
+                }
+            }
+        }
+        let bound = metric.step_bound(cell.unwrap_or(BITS) as i8, 7);
+        world = world.max(bound);
+        px = px.max(camera.pixels_of_length(bound, gap.distance));
+    }
+    (Some(world), Some(px).filter(|px| px.is_finite()))
+}
+
+/// The exponent, at least `c`, of the smallest cell around the cell of exponent `c` with this first key that holds one of
+/// the keys, which ascend; `None` if there is no key.
+fn smallest_around(keys: &[Key], floor: Key, c: u8) -> Option<u8> {
+    let at = keys.partition_point(|k| *k < floor);
+    let neighbours = [at.checked_sub(1).map(|i| keys[i]), keys.get(at).copied()];
+    // Keys are in the order of cells: of all keys these two share the largest and the smallest cells with it.
+    let around = |key: Key| (c..=BITS).find(|&k| key.prefix(k) == floor.prefix(k));
+    neighbours.into_iter().flatten().filter_map(around).min()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::LatticePoint;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_smallest_cell_is_the_one_that_all_cells_give(
+            points in prop::collection::vec(prop::array::uniform3(0_u64..64), 0..9), at in prop::array::uniform3(0_u64..64), c in 0_u8..5,
+        ) {
+            let mut keys: Vec<Key> = points.iter().map(|&p| Key::of(LatticePoint(p))).collect();
+            keys.sort_unstable();
+            let floor = Key::of(LatticePoint(at)).floor(c);
+            let cube = Cube::containing(LatticePoint(at), c);
+            let naive = (c..=BITS).find(|&k| points.iter().any(|&p| cube.ancestor(k).contains(LatticePoint(p))));
+            prop_assert_eq!(smallest_around(&keys, floor, c), naive);
+        }
+    }
+}

@@ -47,6 +47,26 @@ fn colours_reach_the_picture_unchanged() {
     }
 }
 
+/// Files with room for colours and none in it (all zero, as national LiDAR tiles have them) are shown by something else.
+#[test]
+fn colours_that_are_all_black_are_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let header = "ply\nformat ascii 1.0\nelement vertex 400\nproperty double x\nproperty double y\nproperty double z\n\
+                  property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    for (name, red, black) in [("black", 0, true), ("almost", 1, false)] {
+        let rows: String = (0..400).map(|i| format!("{} {} {} {red} 0 0\n", i % 20, i / 20, i % 7)).collect();
+        fs::write(path("p.ply"), header.to_owned() + &rows).unwrap();
+        let (store, picture) = (path(&format!("{name}.esker")), path(&format!("{name}.png")));
+        esker_ok(&["ingest", &store, &path("p.ply")]);
+        esker_ok(&["render", &store, "--unlit", "--size", "160x120", "-o", &picture]);
+        let (width, height, bytes) = pixels(&picture);
+        let channels = bytes.len() / (width * height) as usize;
+        let dark = bytes.chunks_exact(channels).any(|p| p[0] <= 1 && p[1] == 0 && p[2] == 0);
+        assert_eq!(dark, !black, "{name}");
+    }
+}
+
 #[test]
 fn a_whole_site_fits_its_default_picture() {
     let folder = tempfile::tempdir().unwrap();

@@ -11,6 +11,7 @@ use crate::geometry::{Camera, WorldBox};
 use crate::points::Batch;
 use crate::query::{Detail, Filter, Query, Region};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring, Renderer};
+use crate::store::model::Range;
 use crate::store::{Snapshot, Store, WorldBounds};
 use crate::stream::gpu::Paint;
 use anyhow::{Context, bail};
@@ -183,7 +184,12 @@ fn query(arguments: &Arguments) -> anyhow::Result<Query> {
 
 /// How points are coloured, by the points of the coarsest level.
 fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow::Result<Coloring> {
-    let has = |name: &str| snapshot.attributes().iter().any(|a| a.attribute.name == name);
+    let black = all_colors_are_black(snapshot)?;
+    let has = |name: &str| {
+        // Some files have room for colours, but none: black points would show nothing.
+        let is_color = ColorMode::Rgb.attributes().contains(&name);
+        snapshot.attributes().iter().any(|a| a.attribute.name == name) && !(is_color && black)
+    };
     let mode = arguments.color.resolved(has)?;
     if mode != arguments.color {
         eprintln!("esker: the points have no {} to show; shown by {}", arguments.color.word(), mode.word());
@@ -212,6 +218,20 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
     }
     let sample: Vec<&Batch> = sample.iter().collect();
     Ok(Coloring::new(&sample, &snapshot.site().lattice, &options)?)
+}
+
+/// By the zone maps of the whole site: is no recorded colour anything but black?
+fn all_colors_are_black(snapshot: &Snapshot) -> anyhow::Result<bool> {
+    let nodes = snapshot.nodes();
+    for root in nodes.roots()? {
+        for (slot, range) in &nodes.zones(&root)?.subtree {
+            let name = snapshot.attribute(*slot).map_or("", |a| a.attribute.name.as_str());
+            if ColorMode::Rgb.attributes().contains(&name) && *range != Range::Unsigned(0, 0) {
+                return Ok(false);
+            }
+        }
+    }
+    Ok(true)
 }
 
 fn with_attributes(query: Query, names: Vec<String>) -> Query {

@@ -16,7 +16,7 @@ fn question(i: u64) -> Query {
     let low = [random.unit() * 60.0, random.unit() * 60.0, -1.0];
     let side = 2.0 + random.unit() * 40.0;
     let region = Region::new_box(low, [low[0] + side, low[1] + side, 30.0]).unwrap();
-    let query = Query::new().region(region).with_scans(i % 2 == 0);
+    let query = Query::new().region(region).with_scans(i.is_multiple_of(2));
     match i % 6 {
         0 => query,
         1 => query.filter(Filter::parse("Classification < 5 and Intensity > 300").unwrap()),
@@ -26,6 +26,9 @@ fn question(i: u64) -> Query {
         _ => query.attributes(["Intensity", "GpsTime"]).threads(2),
     }
 }
+
+/// The generation that was asked, the question, and everything in the answer.
+type Told = (u64, u64, (u64, u64));
 
 /// Everything in the answer, in one number.
 fn told(snapshot: &Snapshot, i: u64) -> (u64, u64) {
@@ -67,7 +70,7 @@ fn many_threads_ask_one_store_while_a_scan_is_added() {
     let store = Store::open_with(&path, limits).unwrap();
     let before = store.snapshot().unwrap();
 
-    let answers: Mutex<Vec<(u64, u64, (u64, u64))>> = Mutex::default();
+    let answers: Mutex<Vec<Told>> = Mutex::default();
     let asked = AtomicU64::new(0);
     std::thread::scope(|scope| {
         for thread in 0..32 {

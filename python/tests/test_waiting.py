@@ -112,4 +112,5 @@ def test_batches_take_the_memory_of_a_batch(large):
     (few, batches_mib), (all, query_mib) = run(script, large.path, "batches"), run(script, large.path, "query")
     assert few == all == 1_000_000
     answer_mib = large.store.query(capacity=1).dtype.itemsize * few / 2**20
-    assert batches_mib < query_mib - 0.6 * answer_mib, (batches_mib, query_mib, answer_mib)
+    # The answer has its points twice for a while, decoded and as an array; batches that are gone have neither.
+    assert batches_mib < query_mib - 1.2 * answer_mib, (batches_mib, query_mib, answer_mib)

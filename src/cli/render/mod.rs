@@ -10,13 +10,13 @@ use super::{Outcome, output, values};
 use crate::geometry::{Camera, WorldBox};
 use crate::points::Batch;
 use crate::query::{Detail, Filter, Query, Region};
-use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring, Renderer};
+use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
 use crate::store::model::Range;
 use crate::store::{Snapshot, Store, WorldBounds};
 use crate::stream::gpu::Paint;
 use anyhow::{Context, bail};
 use clap::Args;
-use session::{Asked, Session};
+use session::{Asked, Session, Starting};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -82,7 +82,7 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     // The adapter takes its time, and needs nothing of the store.
-    let starting = std::thread::spawn(Renderer::new);
+    let starting = Starting::new();
     let store = Store::open(&arguments.store)?;
     let outputs = |frames: usize| -> Vec<PathBuf> {
         match arguments.path {
@@ -243,7 +243,7 @@ fn session(
     snapshot: &Snapshot,
     query: Query,
     coloring: Coloring,
-    starting: std::thread::JoinHandle<Result<Renderer, crate::render::RenderError>>,
+    starting: Starting,
 ) -> anyhow::Result<Session> {
     let all_match = arguments.filter.is_none()
         && arguments.scans.is_empty()

@@ -27,6 +27,30 @@ pub(super) struct Asked {
     pub all_match: bool,
 }
 
+/// A renderer that is being made on a thread of its own.
+///
+/// It is waited for when it is dropped: a process that ends while a driver starts may be ended by the driver's signal
+/// instead of with its exit code.
+pub(super) struct Starting(Option<JoinHandle<Result<Renderer, RenderError>>>);
+
+impl Starting {
+    pub fn new() -> Self {
+        Self(Some(std::thread::spawn(Renderer::new)))
+    }
+
+    fn renderer(mut self) -> anyhow::Result<Renderer> {
+        let thread = self.0.take().context("the adapter is not there")?;
+        Ok(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?)
+    }
+}
+
+impl Drop for Starting {
+    fn drop(&mut self) {
+        // What became of it does not matter any more.
+        let _ = self.0.take().map(JoinHandle::join);
+    }
+}
+
 /// One picture after another from one snapshot; parts stay on the adapter from one to the next.
 pub(super) struct Session {
     parts: ViewParts,
@@ -35,7 +59,7 @@ pub(super) struct Session {
     asked: Asked,
     /// How many points of a part match, as far as it is known.
     matching: HashMap<PartId, u32>,
-    starting: Option<JoinHandle<Result<Renderer, RenderError>>>,
+    starting: Option<Starting>,
     gpu: Option<Gpu>,
 }
 
@@ -60,7 +84,7 @@ impl Session {
         parts: ViewParts,
         coloring: Coloring,
         asked: Asked,
-        starting: JoinHandle<Result<Renderer, RenderError>>,
+        starting: Starting,
     ) -> Self {
         let lattice = parts.snapshot().site().lattice.clone();
         let (matching, starting) = (HashMap::new(), Some(starting));
@@ -198,12 +222,12 @@ impl Asked {
 
 impl Gpu {
     fn started(
-        starting: Option<JoinHandle<Result<Renderer, RenderError>>>,
+        starting: Option<Starting>,
         wanted: &Wanted,
         capacity: u64,
     ) -> anyhow::Result<Self> {
         let starting = starting.context("the adapter is not there")?;
-        let renderer = starting.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        let renderer = starting.renderer()?;
         // What two frames of the capacity take, the last blocks of parts being half empty; the first picture alone takes
         // what it needs.
         let limit = (capacity.saturating_mul(5) / 2).div_ceil(u64::from(BLOCK_POINTS));

@@ -2,12 +2,10 @@
 
 use super::IngestError;
 use super::bulk::{Layer, Room, params};
-use super::change::{Edit, Ground, NewRows, POINT_BYTES, change};
+use super::change::{Edit, Ground, NewPoints, POINT_BYTES, ScanOrder, change};
 use super::context::Context;
 use super::gather::ScanColumns;
-use super::layers::{
-    MOST_INSERTED, Target, joined, scan_order, scan_table, stored_columns, stored_plans, target, withdraw,
-};
+use super::layers::{MOST_INSERTED, Target, joined, scan_table, target, withdraw};
 use super::measure::{WorldBounds, hinted_bounds};
 use super::partition::{Bucket, RowPlan, ScanTally};
 use super::progress::Stage;
@@ -18,7 +16,11 @@ use crate::lattice::{Cube, Exactness, Key, Lattice, SourceMap};
 use crate::points::{Attribute, Crs, ScalarType};
 use crate::store::model::{Scan, ScanId};
 use crate::store::{Flip, Snapshot, Store, Writer};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Pieces of fewer records are not worth another thread's while.
+const LEAST_PIECE: u64 = 1 << 12;
 
 /// What is to be done.
 pub(super) struct Batch<'a> {
@@ -53,7 +55,10 @@ pub(super) fn add(
     let stored: u64 =
         sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.stride() as u64 / 2).sum();
     let hint = hinted_bounds(lattice, sources, batch.measured);
-    let room = Room::new(context, site.g, hint, records, payload, stored)?;
+    let mut room = Room::new(context, site.g, hint, records, payload, stored)?;
+    // Something for every thread, also of a small file.
+    let pieces = 2 * context.threads.max(1) as u64;
+    room.budget.piece_records = room.budget.piece_records.min(records.div_ceil(pieces)).max(LEAST_PIECE);
     report.temp_bytes_predicted = report.temp_bytes_predicted.max(room.budget.temp_bytes);
     let (read, buckets) = {
         let partition = room.partition(lattice);
@@ -130,11 +135,7 @@ fn build(
 ) -> Result<Vec<Edit>, IngestError> {
     let index = snapshot.index()?;
     let site = snapshot.site();
-    let stored_plans = stored_plans(context, &snapshot)?;
-    // The new scans' records as a change sees them: canonical, like those of the stored ones.
-    let canonical: Vec<RowPlan> = new.plans.iter().map(|plan| plan.canonical()).collect();
-    let new_columns = NewScans { plans: &canonical, scans: new.scans };
-    let order = scan_order(stored_columns(&snapshot, &stored_plans), new_columns.columns());
+    let order = Arc::new(ScanOrder::new(snapshot.scans().iter().chain(new.scans), writer.attributes()));
     let table = scan_table(writer.attributes(), snapshot.scans().iter().chain(new.scans));
     let ground = Ground { snapshot: &snapshot, index: &index, params: params(site), scans: &order, table: &table };
     let rows: u64 = buckets.iter().map(|b| b.rows).sum();
@@ -144,14 +145,13 @@ fn build(
 
     let mut edits = Vec::new();
     if small && !index.is_empty() {
-        let new_rows = if room.wide {
-            NewRows::of::<Key>(&buckets, &columns, &order)?
+        let new_points = if room.wide {
+            NewPoints::of::<Key>(&buckets, &columns, &order)?
         } else {
-            NewRows::of::<u64>(&buckets, &columns, &order)?
+            NewPoints::of::<u64>(&buckets, &columns, &order)?
         };
-        let mut points = new_rows.points();
-        let keys: Vec<Key> = points.iter().map(|p| p.key).collect();
-        if let Target::Existing(into) = target(context, &snapshot, &index, Some(&keys)) {
+        let mut points = new_points.points();
+        if let Target::Existing(into) = target(context, &snapshot, &index, Some(&points)) {
             drop(buckets);
             for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
                 if layer == into {

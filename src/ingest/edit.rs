@@ -2,11 +2,9 @@
 
 use super::batch::{Batch, add};
 use super::budget::peak_memory;
-use super::change::Ground;
+use super::change::{Ground, ScanOrder};
 use super::context::{Context, Resources};
-use super::layers::{
-    digest_of_all, fold_all, fold_if_many, joined, scan_order, scan_table, stored_columns, stored_plans, withdraw,
-};
+use super::layers::{digest_of_all, fold_all, fold_if_many, joined, scan_table, withdraw};
 use super::measure::measure;
 use super::progress::{Progress, Stage};
 use super::report::{Report, Stages};
@@ -17,6 +15,7 @@ use crate::store::model::{Scan, ScanId};
 use crate::store::{Digest, Flip, Store};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What [`remove`] did.
@@ -74,8 +73,7 @@ pub fn remove(
             ..Removed::default()
         };
         let index = snapshot.index()?;
-        let plans = stored_plans(context, &snapshot)?;
-        let order = scan_order(stored_columns(&snapshot, &plans), Vec::new());
+        let order = Arc::new(ScanOrder::new(snapshot.scans(), writer.attributes()));
         let table = scan_table(writer.attributes(), snapshot.scans());
         let params = bulk::params(snapshot.site());
         let ground = Ground { snapshot: &snapshot, index: &index, params, scans: &order, table: &table };

@@ -2,7 +2,7 @@
 
 use super::partition::RowPlan;
 use super::rows::with_payload_words;
-use crate::points::{Column, RecordLayout};
+use crate::points::{Attribute, Column, RecordLayout};
 use crate::store::PointColumns;
 use crate::store::model::{ScanId, Slot};
 
@@ -26,14 +26,20 @@ pub(super) struct ScanColumns<'a> {
 
 impl<'a> ScanColumns<'a> {
     pub fn new(id: ScanId, identity: [u8; 32], plan: &'a RowPlan, slots: Vec<Slot>) -> Self {
+        let signature = Self::signature_of(plan.layout.attributes.iter());
+        Self { id, identity, plan, slots, signature }
+    }
+
+    /// Names and types of attributes, as bytes.
+    pub fn signature_of<'s>(attributes: impl IntoIterator<Item = &'s Attribute>) -> Vec<u8> {
         let mut signature = Vec::new();
-        for attribute in plan.layout.attributes.iter() {
+        for attribute in attributes {
             signature.extend_from_slice(attribute.name.as_bytes());
             signature.push(0);
             signature.extend_from_slice(attribute.ty.word().as_bytes());
             signature.push(0);
         }
-        Self { id, identity, plan, slots, signature }
+        signature
     }
 }
 

@@ -8,10 +8,10 @@
 use super::IngestError;
 use super::build::Sink;
 use super::bulk::{Layer, Room, params};
-use super::change::{Edit, Ground, POINT_BYTES, ScanOrder, change, touched, touched_by_removal};
+use super::change::{Edit, Ground, POINT_BYTES, Point, change, touched, touched_by_removal};
 use super::context::Context;
 use super::gather::ScanColumns;
-use super::partition::{Bucket, RowPlan};
+use super::partition::Bucket;
 use super::progress::Stage;
 use super::stored::StoredPoints;
 use crate::lattice::{Cube, Key};
@@ -39,17 +39,22 @@ pub(super) enum Target {
     New(u16),
 }
 
-/// Where points with these keys, ascending, go; `None` if they are too many to be looked at one by one.
-pub(super) fn target(context: &Context<'_>, snapshot: &Snapshot, index: &NodeIndex, keys: Option<&[Key]>) -> Target {
+/// Where these points, which ascend, go; `None` if they are too many to be looked at one by one.
+pub(super) fn target(
+    context: &Context<'_>,
+    snapshot: &Snapshot,
+    index: &NodeIndex,
+    points: Option<&[Point<'_>]>,
+) -> Target {
     let site = snapshot.site();
-    if let Some(keys) = keys {
-        let n = keys.len() as u64;
+    if let Some(points) = points {
+        let n = points.len() as u64;
         let most = n.saturating_mul(MOST_REWRITTEN).saturating_add(2 * u64::from(site.leaf_capacity));
         for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
             if index.root(layer).is_none() {
                 continue;
             }
-            let rewritten = touched(index, layer, keys);
+            let rewritten = touched(index, layer, points);
             if rewritten <= most && (rewritten + n).saturating_mul(POINT_BYTES) <= context.memory {
                 return Target::Existing(layer);
             }
@@ -57,18 +62,6 @@ pub(super) fn target(context: &Context<'_>, snapshot: &Snapshot, index: &NodeInd
     }
     let free = site.roots.iter().position(Option::is_none).unwrap_or(site.roots.len());
     Target::New(u16::try_from(free).unwrap_or(u16::MAX))
-}
-
-/// The columns of stored scans, and the layouts that they borrow.
-pub(super) fn stored_plans(context: &Context<'_>, snapshot: &Snapshot) -> Result<Vec<RowPlan>, IngestError> {
-    let stored = StoredPoints::new(context.path, snapshot, None, 0, |_| true)?;
-    Ok(stored.row_plans())
-}
-
-/// See [`stored_plans`].
-pub(super) fn stored_columns<'p>(snapshot: &Snapshot, plans: &'p [RowPlan]) -> Vec<ScanColumns<'p>> {
-    let scans = snapshot.scans().iter().zip(plans);
-    scans.map(|(scan, plan)| ScanColumns::new(scan.id, scan.identity, plan, scan.attributes.clone())).collect()
 }
 
 /// Which attributes which scans have.
@@ -275,9 +268,4 @@ fn fold(
     drop(snapshot);
     writer.commit(flip)?;
     Ok(())
-}
-
-/// The order of all scans, for a change.
-pub(super) fn scan_order<'p>(stored: Vec<ScanColumns<'p>>, new: Vec<ScanColumns<'p>>) -> ScanOrder<'p> {
-    ScanOrder::new(stored.into_iter().chain(new).collect())
 }

@@ -35,6 +35,7 @@ mod sources;
 mod spill;
 mod stored;
 mod subtrees;
+mod writing;
 
 pub use context::Resources;
 pub use edit::{Compacted, Removed, compact, digest, remove, replace, set_visible};

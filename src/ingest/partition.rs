@@ -43,12 +43,6 @@ impl RowPlan {
         let color_offsets = (|| Some([offset("Red")?, offset("Green")?, offset("Blue")?]))();
         Self { slot, layout, map, color_offsets }
     }
-
-    /// The same scan with its records in canonical form, after a lattice position.
-    pub fn canonical(&self) -> Self {
-        let layout = RecordLayout::canonical(PositionKind::Lattice, self.layout.attributes.iter().cloned());
-        Self::new(self.slot, layout, None)
-    }
 }
 
 /// What became of the records of a scan.

@@ -2,7 +2,6 @@
 //! through a tree that changes.
 
 use super::IngestError;
-use super::gather::ScanColumns;
 use super::partition::{Partition, RowPlan};
 use super::progress::Progress;
 use super::rows::RowKey;
@@ -171,34 +170,6 @@ fn write_fields(
                 records[at..at + bytes.len()].copy_from_slice(&bytes);
             }
         });
-    }
-}
-
-/// Appends the canonical records of a part's points, in its order, and where each begins. `places` says which of `scans`,
-/// whose layouts are canonical, each point is of.
-pub(super) fn records(
-    part: &DecodedPart,
-    places: &[u32],
-    scans: &[ScanColumns<'_>],
-    records: &mut Vec<u8>,
-    starts: &mut Vec<u32>,
-) {
-    let first = starts.len();
-    let mut end = records.len();
-    for &place in places {
-        // Whoever calls sees to it that a node's records are not larger than this.
-        starts.push(u32::try_from(end).unwrap_or(u32::MAX));
-        end += scans[place as usize].plan.layout.payload;
-    }
-    records.resize(end, 0);
-    let mut present: Vec<u32> = places.chunk_by(|a, b| a == b).map(|run| run[0]).collect();
-    present.sort_unstable();
-    present.dedup();
-    for place in present {
-        let points: Vec<u32> = (0..).zip(places).filter(|(_, p)| **p == place).map(|(i, _)| i).collect();
-        let scan = &scans[place as usize];
-        let start = |n: usize| starts[first + points[n] as usize] as usize;
-        write_fields(part, &scan.slots, &scan.plan.layout, &points, records, start);
     }
 }
 

@@ -1,9 +1,9 @@
 //! Points into an existing tree (OCTREE section 3).
 
 use super::nodes::{Nodes, Row, TreePoint};
-use super::root_of;
-use super::tree::{Tree, bounds_of, children, merged, run_inside};
-use crate::lattice::{BITS, Cube, Key};
+use super::tree::{SPREAD, Tree, children, merged, run_inside};
+use crate::lattice::{BITS, Cube, Key, SortKey};
+use rayon::prelude::*;
 
 impl<S: Nodes> Tree<S> {
     /// Adds points, in any order.
@@ -15,26 +15,28 @@ impl<S: Nodes> Tree<S> {
     ///
     /// The storage's.
     pub fn insert(&mut self, mut batch: Vec<S::Point>) -> Result<(), S::Error> {
-        let Some(bounds) = bounds_of(&batch) else { return Ok(()) };
         batch.sort();
-        let Some(old) = self.root else { return self.insert_at(root_of(&bounds, self.params), batch, None) };
-        let root = root_of(&bounds.union(&old.to_box()), self.params);
-        if root == old {
-            return self.insert_at(root, batch, None);
-        }
-        let remaining = self.grow(old, root, &mut batch)?;
+        let (Some(first), Some(last)) = (batch.first().map(TreePoint::key), batch.last().map(TreePoint::key)) else {
+            return Ok(());
+        };
+        // The smallest cube around the first and the last of a run of keys holds all between.
+        let spanning = |first: Key, last: Key| Cube::spanning(first.point(), last.point(), self.params.g);
+        let (root, remaining) = match self.root {
+            None => (spanning(first, last), None),
+            Some(old) => {
+                let root = spanning(first.min(old.first_key()), last.max(old.last_key()));
+                (root, if root == old { None } else { self.grow(old, root, &mut batch)? })
+            }
+        };
+        // What was in order is passed over quickly.
         batch.sort();
-        self.insert_at(root, batch, remaining)
-    }
-
-    fn insert_at(&mut self, root: Cube, batch: Vec<S::Point>, old: Option<Cube>) -> Result<(), S::Error> {
         self.root = Some(root);
-        self.settle(root, batch, &[], old)
+        self.settle(root, &batch, &[], remaining)
     }
 
     /// Prepares the growth of the root from `old` to `root`: the points of the old root that may move up join the batch.
     /// The old root, under a new chain of nodes without points, if anything remains there.
-    fn grow(&mut self, old: Cube, root: Cube, batch: &mut Vec<S::Point>) -> Result<Option<Cube>, S::Error> {
+    fn grow(&self, old: Cube, root: Cube, batch: &mut Vec<S::Point>) -> Result<Option<Cube>, S::Error> {
         let Some(row) = self.nodes.row(old)? else { return Ok(None) };
         let points = self.own(old, row)?;
         if row.leaf {
@@ -43,7 +45,7 @@ impl<S: Nodes> Tree<S> {
             return Ok(None);
         }
         // Winners are nested: whatever wins a cell coarser than the old root's is the first of its points in that cell.
-        let (up, stay) = first_of_cells(points, &[], self.params.cell(old.k()) + 1);
+        let (up, stay) = first_of_cells(&points, &[], &[], self.params.cell(old.k()) + 1);
         let rem = row.rem.saturating_sub(up.len() as u64);
         batch.extend(up);
         if rem == 0 {
@@ -59,13 +61,7 @@ impl<S: Nodes> Tree<S> {
 
     /// Places `incoming`, ascending, at or below `cube`. `above` are the keys of the points stored in its proper ancestors
     /// and inside it, `old` the former root where the root has grown: it and the chain above need their leaf test.
-    fn settle(
-        &mut self,
-        cube: Cube,
-        incoming: Vec<S::Point>,
-        above: &[Key],
-        old: Option<Cube>,
-    ) -> Result<(), S::Error> {
+    fn settle(&self, cube: Cube, incoming: &[S::Point], above: &[Key], old: Option<Cube>) -> Result<(), S::Error> {
         let found = self.nodes.row(cube)?;
         let row = found.unwrap_or(Row { leaf: true, rem: 0, own: 0 });
         let rem = row.rem + incoming.len() as u64;
@@ -74,8 +70,11 @@ impl<S: Nodes> Tree<S> {
             return match (rem, found) {
                 (0, None) => Ok(()),
                 (0, Some(_)) => self.nodes.delete(cube),
-                _ => self.nodes.write(cube, true, rem, merged(points, incoming)),
+                _ => self.nodes.write(cube, true, rem, merged(&points, incoming)),
             };
+        }
+        if found.is_none() {
+            return self.build(cube, incoming, &wins_after(above, incoming), i8::MAX);
         }
         let old_below = |child: &Cube| old.is_some_and(|old| child.contains_cube(old));
         if incoming.is_empty() && !row.leaf {
@@ -84,29 +83,62 @@ impl<S: Nodes> Tree<S> {
                 None => Ok(()),
             };
         }
-        let points = merged(self.own(cube, row)?, incoming);
-        let (kept, mut down) = first_of_cells(points, above, self.params.cell(cube.k()));
-        let above = merged(above.to_vec(), kept.iter().map(TreePoint::key));
+        let (kept, down) = first_of_cells(&self.own(cube, row)?, incoming, above, self.params.cell(cube.k()));
+        let keys: Vec<Key> = kept.iter().map(TreePoint::key).collect();
+        let above = merged(above, &keys);
         self.nodes.write(cube, false, rem, kept)?;
-        for child in children(cube) {
-            let rest = down.split_off(run_inside(&down, TreePoint::key, child).end);
-            let incoming = std::mem::replace(&mut down, rest);
-            if !incoming.is_empty() || old_below(&child) {
-                self.settle(child, incoming, &above[run_inside(&above, |k| *k, child)], old)?;
-            }
+        let below = |child: Cube| (child, &down[run_inside(&down, TreePoint::key, child)]);
+        let visited = children(cube).map(below).filter(|(child, down)| !down.is_empty() || old_below(child));
+        let settle = |(child, down): (Cube, &[S::Point])| {
+            self.settle(child, down, &above[run_inside(&above, |k| *k, child)], old)
+        };
+        if down.len() < SPREAD {
+            return visited.map(settle).collect();
         }
-        Ok(())
+        visited.collect::<Vec<_>>().into_par_iter().try_for_each(settle)
     }
 }
 
-/// Parts ascending points into the first of every cell of exponent `cell` where `above` has none, and the others.
-fn first_of_cells<P: TreePoint>(points: Vec<P>, above: &[Key], cell: i8) -> (Vec<P>, Vec<P>) {
-    let cell = u8::try_from(cell).unwrap_or(0).min(BITS);
-    let mut owner = None;
-    let mut above = above.iter().map(|key| key.prefix(cell)).peekable();
-    points.into_iter().partition(|p| {
-        let prefix = p.key().prefix(cell);
-        while above.next_if(|a| *a < prefix).is_some() {}
-        above.peek() != Some(&prefix) && owner.replace(prefix) != Some(prefix)
-    })
+/// The wins of ascending points among themselves and the points above them with these keys, ascending, too: an
+/// ancestor's point comes before all others of its cell.
+fn wins_after<P: TreePoint>(above: &[Key], points: &[P]) -> Vec<i8> {
+    let mut above = above.iter().peekable();
+    let mut last: Option<Key> = None;
+    let win = |point: &P| {
+        let key = point.key();
+        while let Some(key) = above.next_if(|above| **above <= key) {
+            last = Some(*key);
+        }
+        // Without any before it, it wins whatever cell is asked for.
+        let win = last.map_or(BITS as i8, |last| last.differing_digit(key));
+        last = Some(key);
+        win
+    };
+    points.iter().map(win).collect()
+}
+
+/// Parts two ascending runs of points into the first of every cell of exponent `cell` where `above` has none, and the
+/// others.
+fn first_of_cells<P: TreePoint>(own: &[P], incoming: &[P], above: &[Key], cell: i8) -> (Vec<P>, Vec<P>) {
+    let (mut own, mut incoming) = (own.iter().peekable(), incoming.iter().peekable());
+    let mut above = above.iter().peekable();
+    let (mut first, mut others) = (Vec::with_capacity(own.len()), Vec::with_capacity(incoming.len()));
+    // The last point met, of those above or here.
+    let mut last: Option<Key> = None;
+    loop {
+        let next = match (own.peek(), incoming.peek()) {
+            (Some(a), Some(b)) => if b < a { incoming.next() } else { own.next() },
+            (Some(_), None) => own.next(),
+            (None, _) => incoming.next(),
+        };
+        let Some(point) = next else { return (first, others) };
+        let key = point.key();
+        // An ancestor's point comes before all others of its cell.
+        while let Some(key) = above.next_if(|above| **above <= key) {
+            last = Some(*key);
+        }
+        let is_first = last.is_none_or(|last| last.differing_digit(key) >= cell);
+        last = Some(key);
+        if is_first { first.push(point.clone()) } else { others.push(point.clone()) }
+    }
 }

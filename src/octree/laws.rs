@@ -27,16 +27,17 @@ fn check(tree: &MemoryTree<Point>, points: &[Point]) {
         tree.nodes().all().iter().map(|(key, n)| (*key, (n.leaf, n.rem, n.points.clone()))).collect();
     assert!(found == expected, "{params:?}\nfound {found:?}\nexpected {expected:?}");
     let cube = |key| Cube::from_node_key(key).unwrap();
-    for (key, node) in tree.nodes().all() {
+    let all = tree.nodes().all();
+    for (key, node) in all.iter() {
         let (k, below) =
-            (cube(key).k(), (0..8).filter_map(|o| tree.nodes().all().get(&cube(key).child(o)?.node_key())));
+            (cube(key).k(), (0..8).filter_map(|o| all.get(&cube(key).child(o)?.node_key())));
         assert_eq!(node.rem, node.points.len() as u64 + below.map(|n| n.rem).sum::<u64>());
         assert_eq!(node.leaf, node.rem <= u64::from(params.leaf_capacity) || k == params.g);
         assert!(node.points.iter().all(|p| cube(key).contains(given::at(p))));
         if !node.leaf {
             // One owner, the least of all, in every occupied cell.
             let c = k - params.g;
-            let ancestors = tree.nodes().all().iter().filter(|(a, _)| cube(a).contains_cube(cube(key)));
+            let ancestors = all.iter().filter(|(a, _)| cube(a).contains_cube(cube(key)));
             let mut owners: Vec<_> = ancestors.flat_map(|(_, n)| n.points.clone()).collect();
             owners.retain(|p| cube(key).contains(given::at(p)));
             owners.sort();

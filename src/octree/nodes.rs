@@ -1,12 +1,13 @@
 //! Where the nodes of a tree are: the storage that changes run on, and the one in memory.
 
 use crate::lattice::{Cube, Key, LatticeBox, NodeKey};
-use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
+use std::ops::Deref;
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 /// A point of a tree. Its order is by key, then record bytes, then scan; points equal in all of that are interchangeable.
-pub trait TreePoint: Clone + Ord {
+pub trait TreePoint: Clone + Ord + Send + Sync {
     /// The key of its position: `a < b` implies `a.key() <= b.key()`.
     fn key(&self) -> Key;
 }
@@ -22,12 +23,13 @@ pub struct Row {
     pub own: u64,
 }
 
-/// The nodes of one tree. Changes are seen by later calls.
-pub trait Nodes {
+/// The nodes of one tree. Changes are seen by later calls; those of disjoint subtrees may come from several threads at
+/// once.
+pub trait Nodes: Sync {
     /// The points.
     type Point: TreePoint;
     /// What can go wrong.
-    type Error;
+    type Error: Send;
 
     /// The row of the node of this cube; `None` if there is no such node.
     ///
@@ -46,19 +48,19 @@ pub trait Nodes {
     /// # Errors
     ///
     /// The storage's.
-    fn write(&mut self, cube: Cube, leaf: bool, rem: u64, points: Vec<Self::Point>) -> Result<(), Self::Error>;
+    fn write(&self, cube: Cube, leaf: bool, rem: u64, points: Vec<Self::Point>) -> Result<(), Self::Error>;
     /// Changes only how many points remain in an existing node's cube.
     ///
     /// # Errors
     ///
     /// The storage's.
-    fn set_rem(&mut self, cube: Cube, rem: u64) -> Result<(), Self::Error>;
+    fn set_rem(&self, cube: Cube, rem: u64) -> Result<(), Self::Error>;
     /// Removes a node, not its descendants.
     ///
     /// # Errors
     ///
     /// The storage's.
-    fn delete(&mut self, cube: Cube) -> Result<(), Self::Error>;
+    fn delete(&self, cube: Cube) -> Result<(), Self::Error>;
     /// Tight bounds of the points stored in an existing node or below, without reading them.
     ///
     /// # Errors
@@ -79,39 +81,54 @@ pub struct Node<P> {
 }
 
 /// Nodes in memory, with a record of whose points were read.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct MemoryNodes<P> {
-    nodes: BTreeMap<NodeKey, Node<P>>,
-    reads: RefCell<BTreeSet<NodeKey>>,
+    nodes: RwLock<BTreeMap<NodeKey, Node<P>>>,
+    reads: Mutex<BTreeSet<NodeKey>>,
 }
 
 impl<P> Default for MemoryNodes<P> {
     fn default() -> Self {
-        Self { nodes: BTreeMap::new(), reads: RefCell::default() }
+        Self { nodes: RwLock::default(), reads: Mutex::default() }
+    }
+}
+
+impl<P: TreePoint> Clone for MemoryNodes<P> {
+    fn clone(&self) -> Self {
+        Self { nodes: RwLock::new(self.nodes().clone()), reads: Mutex::new(self.reads().clone()) }
     }
 }
 
 impl<P: TreePoint> MemoryNodes<P> {
     /// All nodes, in pre-order.
-    pub fn all(&self) -> &BTreeMap<NodeKey, Node<P>> {
-        &self.nodes
+    pub fn all(&self) -> impl Deref<Target = BTreeMap<NodeKey, Node<P>>> {
+        self.nodes()
     }
 
     /// The nodes whose points were read since the last call.
     pub fn take_reads(&self) -> BTreeSet<NodeKey> {
-        self.reads.take()
+        std::mem::take(&mut *self.reads())
     }
 
     /// How many points that pass `test` the node of `cube` stores itself, and with all below it. Stands for what rows
     /// say of each scan: not a read of payload.
     pub fn count(&self, cube: Cube, test: impl Fn(&P) -> bool) -> (u64, u64) {
         let passing = |node: &Node<P>| node.points.iter().filter(|p| test(p)).count() as u64;
-        let own = self.nodes.get(&cube.node_key()).map_or(0, passing);
-        (own, self.subtree(cube).map(passing).sum())
+        let nodes = self.nodes();
+        let own = nodes.get(&cube.node_key()).map_or(0, passing);
+        (own, nodes.range(cube.node_key()..=cube.last_node_key()).map(|(_, node)| passing(node)).sum())
     }
 
-    fn subtree(&self, cube: Cube) -> impl Iterator<Item = &Node<P>> {
-        self.nodes.range(cube.node_key()..=cube.last_node_key()).map(|(_, node)| node)
+    fn nodes(&self) -> RwLockReadGuard<'_, BTreeMap<NodeKey, Node<P>>> {
+        self.nodes.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn nodes_mut(&self) -> RwLockWriteGuard<'_, BTreeMap<NodeKey, Node<P>>> {
+        self.nodes.write().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn reads(&self) -> MutexGuard<'_, BTreeSet<NodeKey>> {
+        self.reads.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -121,34 +138,35 @@ impl<P: TreePoint> Nodes for MemoryNodes<P> {
 
     fn row(&self, cube: Cube) -> Result<Option<Row>, Infallible> {
         let row = |n: &Node<P>| Row { leaf: n.leaf, rem: n.rem, own: n.points.len() as u64 };
-        Ok(self.nodes.get(&cube.node_key()).map(row))
+        Ok(self.nodes().get(&cube.node_key()).map(row))
     }
 
     fn read(&self, cube: Cube) -> Result<Vec<P>, Infallible> {
         let key = cube.node_key();
-        self.reads.borrow_mut().insert(key);
-        Ok(self.nodes.get(&key).map_or_else(Vec::new, |n| n.points.clone()))
+        self.reads().insert(key);
+        Ok(self.nodes().get(&key).map_or_else(Vec::new, |n| n.points.clone()))
     }
 
-    fn write(&mut self, cube: Cube, leaf: bool, rem: u64, points: Vec<P>) -> Result<(), Infallible> {
-        self.nodes.insert(cube.node_key(), Node { leaf, rem, points });
+    fn write(&self, cube: Cube, leaf: bool, rem: u64, points: Vec<P>) -> Result<(), Infallible> {
+        self.nodes_mut().insert(cube.node_key(), Node { leaf, rem, points });
         Ok(())
     }
 
-    fn set_rem(&mut self, cube: Cube, rem: u64) -> Result<(), Infallible> {
-        if let Some(node) = self.nodes.get_mut(&cube.node_key()) {
+    fn set_rem(&self, cube: Cube, rem: u64) -> Result<(), Infallible> {
+        if let Some(node) = self.nodes_mut().get_mut(&cube.node_key()) {
             node.rem = rem;
         }
         Ok(())
     }
 
-    fn delete(&mut self, cube: Cube) -> Result<(), Infallible> {
-        self.nodes.remove(&cube.node_key());
+    fn delete(&self, cube: Cube) -> Result<(), Infallible> {
+        self.nodes_mut().remove(&cube.node_key());
         Ok(())
     }
 
     fn bounds(&self, cube: Cube) -> Result<Option<LatticeBox>, Infallible> {
-        let boxes = self.subtree(cube).flat_map(|n| &n.points).map(|p| LatticeBox::of(p.key().point()));
-        Ok(boxes.reduce(|a, b| a.union(&b)))
+        let nodes = self.nodes();
+        let below = nodes.range(cube.node_key()..=cube.last_node_key()).flat_map(|(_, node)| &node.points);
+        Ok(below.map(|p| LatticeBox::of(p.key().point())).reduce(|a, b| a.union(&b)))
     }
 }

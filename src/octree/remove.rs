@@ -2,12 +2,14 @@
 
 use super::nodes::{MemoryNodes, Nodes, TreePoint};
 use super::root_of;
-use super::tree::{Tree, children, merged, run_inside};
+use super::tree::{SPREAD, Tree, children, merged, run_inside};
 use crate::lattice::{BITS, Cube, Key};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
 
 /// Which points are to go.
-pub trait Doomed<S: Nodes> {
+pub trait Doomed<S: Nodes>: Sync {
     /// At most how many of them are stored in the node of `cube`, from its row alone; 0 only if there are none.
     ///
     /// # Errors
@@ -21,14 +23,14 @@ pub trait Doomed<S: Nodes> {
     /// The storage's.
     fn subtree(&self, nodes: &S, cube: Cube) -> Result<u64, S::Error>;
     /// Is this stored point to go? Asked once for each point met.
-    fn takes(&mut self, point: &S::Point) -> bool;
+    fn takes(&self, point: &S::Point) -> bool;
 }
 
 /// All points that pass a test go: those of a scan, say.
 #[derive(Clone, Copy, Debug)]
 pub struct Matching<F>(pub F);
 
-impl<P: TreePoint, F: Fn(&P) -> bool> Doomed<MemoryNodes<P>> for Matching<F> {
+impl<P: TreePoint, F: Fn(&P) -> bool + Sync> Doomed<MemoryNodes<P>> for Matching<F> {
     fn own(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
         Ok(nodes.count(cube, &self.0).0)
     }
@@ -37,37 +39,44 @@ impl<P: TreePoint, F: Fn(&P) -> bool> Doomed<MemoryNodes<P>> for Matching<F> {
         Ok(nodes.count(cube, &self.0).1)
     }
 
-    fn takes(&mut self, point: &P) -> bool {
+    fn takes(&self, point: &P) -> bool {
         self.0(point)
     }
 }
 
 /// These points go, each request once: of several identical points no more than are asked for.
-#[derive(Clone, Debug)]
-pub struct Requests<P>(BTreeMap<P, u64>);
+#[derive(Debug)]
+pub struct Requests<P>(Mutex<BTreeMap<P, u64>>);
 
 impl<P: Ord> FromIterator<P> for Requests<P> {
     fn from_iter<I: IntoIterator<Item = P>>(points: I) -> Self {
         let mut requests = BTreeMap::new();
         points.into_iter().for_each(|p| *requests.entry(p).or_default() += 1);
-        Self(requests)
+        Self(Mutex::new(requests))
+    }
+}
+
+impl<P> Requests<P> {
+    fn left(&self) -> std::sync::MutexGuard<'_, BTreeMap<P, u64>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl<P: TreePoint> Doomed<MemoryNodes<P>> for Requests<P> {
     fn own(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
-        Ok(nodes.count(cube, |p| self.0.contains_key(p)).0)
+        Ok(nodes.count(cube, |p| self.left().contains_key(p)).0)
     }
 
     fn subtree(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
-        Ok(nodes.count(cube, |p| self.0.contains_key(p)).1)
+        Ok(nodes.count(cube, |p| self.left().contains_key(p)).1)
     }
 
-    fn takes(&mut self, point: &P) -> bool {
-        let Some(left) = self.0.get_mut(point) else { return false };
+    fn takes(&self, point: &P) -> bool {
+        let mut requests = self.left();
+        let Some(left) = requests.get_mut(point) else { return false };
         *left -= 1;
         if *left == 0 {
-            self.0.remove(point);
+            requests.remove(point);
         }
         true
     }
@@ -83,24 +92,28 @@ impl<S: Nodes> Tree<S> {
     /// # Errors
     ///
     /// The storage's.
-    pub fn remove(&mut self, doomed: &mut impl Doomed<S>) -> Result<u64, S::Error> {
+    pub fn remove(&mut self, doomed: &impl Doomed<S>) -> Result<u64, S::Error> {
         let Some(root) = self.root else { return Ok(0) };
+        // The cells that the root's points win are those that hold any point.
+        let may_shrink = doomed.own(&self.nodes, root)? > 0;
         let gone = self.withdraw(root, &[], doomed)?;
         if gone > 0 {
             self.collapse(root)?;
             if self.nodes.row(root)?.is_none() {
                 self.root = None;
+            } else if may_shrink {
+                self.shrink()?;
             }
-            self.shrink()?;
         }
         Ok(gone)
     }
 
     /// Removes from the node of `cube` and below, and pulls points up into the cells that lost their owner there;
     /// `vacated` are the positions of points removed from proper ancestors, inside the cube, ascending.
-    fn withdraw(&mut self, cube: Cube, vacated: &[Key], doomed: &mut impl Doomed<S>) -> Result<u64, S::Error> {
+    fn withdraw(&self, cube: Cube, vacated: &[Key], doomed: &impl Doomed<S>) -> Result<u64, S::Error> {
         let Some(row) = self.nodes.row(cube)? else { return Ok(0) };
-        if vacated.is_empty() && doomed.subtree(&self.nodes, cube)? == 0 {
+        let below = doomed.subtree(&self.nodes, cube)?;
+        if vacated.is_empty() && below == 0 {
             return Ok(0);
         }
         let (mut lost, mut points) = (Vec::new(), Vec::new());
@@ -115,28 +128,38 @@ impl<S: Nodes> Tree<S> {
             }
             return Ok(gone);
         }
-        let vacated = merged(vacated.to_vec(), lost.iter().map(TreePoint::key));
-        let mut pulled = Vec::new();
-        for child in children(cube) {
+        let lost: Vec<Key> = lost.iter().map(TreePoint::key).collect();
+        let vacated = merged(vacated, &lost);
+        let repair = |child: Cube| {
             let vacated = &vacated[run_inside(&vacated, |k| *k, child)];
             // A child is repaired before points are pulled from it, and has its leaf test after.
-            gone += self.withdraw(child, vacated, doomed)?;
-            if !vacated.is_empty() {
-                pulled.extend(self.pull(child, vacated, self.params.cell(cube.k()))?);
-            }
+            let gone = self.withdraw(child, vacated, doomed)?;
+            let pulled = match vacated {
+                [] => Vec::new(),
+                vacated => self.pull(child, vacated, self.params.cell(cube.k()))?,
+            };
             self.collapse(child)?;
-        }
+            Ok((gone, pulled))
+        };
+        let repaired: Vec<(u64, Vec<S::Point>)> = if below + (vacated.len() as u64) < SPREAD as u64 {
+            children(cube).map(repair).collect::<Result<_, _>>()?
+        } else {
+            children(cube).collect::<Vec<_>>().into_par_iter().map(repair).collect::<Result<_, _>>()?
+        };
+        gone += repaired.iter().map(|(gone, _)| gone).sum::<u64>();
+        // In key order, as the children are.
+        let pulled: Vec<S::Point> = repaired.into_iter().flat_map(|(_, pulled)| pulled).collect();
         let rem = row.rem.saturating_sub(gone);
         if lost.is_empty() && pulled.is_empty() {
             self.nodes.set_rem(cube, rem)?;
         } else {
-            self.nodes.write(cube, false, rem, merged(points, pulled))?;
+            self.nodes.write(cube, false, rem, merged(&points, &pulled))?;
         }
         Ok(gone)
     }
 
     /// Takes from the node of `child` its first point in each cell of exponent `cell` that holds a vacated position.
-    fn pull(&mut self, child: Cube, vacated: &[Key], cell: i8) -> Result<Vec<S::Point>, S::Error> {
+    fn pull(&self, child: Cube, vacated: &[Key], cell: i8) -> Result<Vec<S::Point>, S::Error> {
         let Some(row) = self.nodes.row(child)? else { return Ok(Vec::new()) };
         let cell = u8::try_from(cell).unwrap_or(0).min(BITS);
         let mut open = vacated.iter().map(|key| key.prefix(cell)).peekable();
@@ -155,7 +178,7 @@ impl<S: Nodes> Tree<S> {
     }
 
     /// The leaf test of a node that may have lost points: deleted without any, a leaf with few.
-    fn collapse(&mut self, cube: Cube) -> Result<(), S::Error> {
+    fn collapse(&self, cube: Cube) -> Result<(), S::Error> {
         match self.nodes.row(cube)? {
             Some(row) if row.rem == 0 => self.nodes.delete(cube),
             Some(row) if !row.leaf && self.params.is_leaf(cube.k(), row.rem) => {
@@ -169,6 +192,13 @@ impl<S: Nodes> Tree<S> {
     /// Makes the smallest possible cube the root, if it is not.
     fn shrink(&mut self) -> Result<(), S::Error> {
         let Some(old) = self.root else { return Ok(()) };
+        let Some(row) = self.nodes.row(old)? else { return Ok(()) };
+        let own = self.own(old, row)?;
+        if let (Some(first), Some(last)) = (own.first(), own.last())
+            && (old.k() == self.params.g || old.octant_of(first.key().point()) != old.octant_of(last.key().point()))
+        {
+            return Ok(());
+        }
         let Some(bounds) = self.nodes.bounds(old)? else { return Ok(()) };
         let root = root_of(&bounds, self.params);
         if root == old {
@@ -190,13 +220,13 @@ impl<S: Nodes> Tree<S> {
                 let rem = row.rem + moved.len() as u64;
                 let own = self.own(root, row)?;
                 moved.sort();
-                self.nodes.write(root, false, rem, merged(own, moved))?;
+                self.nodes.write(root, false, rem, merged(&own, &moved))?;
                 self.root = Some(root);
                 Ok(())
             }
             _ => {
                 let below = self.take_subtree(root)?;
-                self.rebuild(merged(below, moved))
+                self.rebuild([below, moved].concat())
             }
         }
     }

@@ -3,6 +3,10 @@
 use super::nodes::{MemoryNodes, Nodes, Row, TreePoint};
 use super::{Params, root_of, wins};
 use crate::lattice::{Cube, Key, LatticeBox};
+use rayon::prelude::*;
+
+/// Points that are worth other threads' while.
+pub(super) const SPREAD: usize = if cfg!(test) { 8 } else { 2048 };
 
 /// The canonical tree of a set of points, on any storage of nodes. After every change it is the tree that building it
 /// from its points would give.
@@ -53,11 +57,6 @@ impl<S: Nodes> Tree<S> {
         &self.nodes
     }
 
-    /// The storage, to change what is no part of the tree's content.
-    pub fn nodes_mut(&mut self) -> &mut S {
-        &mut self.nodes
-    }
-
     /// Gives the storage back.
     pub fn into_nodes(self) -> S {
         self.nodes
@@ -76,7 +75,7 @@ impl<S: Nodes> Tree<S> {
     }
 
     /// Writes the nodes of a run of points, of which those with `win >= taken` are stored above.
-    fn build(&mut self, cube: Cube, run: &[S::Point], wins: &[i8], taken: i8) -> Result<(), S::Error> {
+    pub(super) fn build(&self, cube: Cube, run: &[S::Point], wins: &[i8], taken: i8) -> Result<(), S::Error> {
         let rem = wins.iter().filter(|&&w| w < taken).count() as u64;
         if rem == 0 {
             return Ok(());
@@ -86,13 +85,17 @@ impl<S: Nodes> Tree<S> {
         let here = |win: i8| win < taken && (leaf || win >= cell);
         let own = run.iter().zip(wins).filter(|(_, w)| here(**w)).map(|(p, _)| p.clone()).collect();
         self.nodes.write(cube, leaf, rem, own)?;
-        if !leaf {
-            for child in children(cube) {
-                let range = run_inside(run, TreePoint::key, child);
-                self.build(child, &run[range.clone()], &wins[range], cell)?;
-            }
+        if leaf {
+            return Ok(());
         }
-        Ok(())
+        let below = |child: Cube| {
+            let range = run_inside(run, TreePoint::key, child);
+            self.build(child, &run[range.clone()], &wins[range], cell)
+        };
+        if run.len() < SPREAD {
+            return children(cube).try_for_each(below);
+        }
+        children(cube).collect::<Vec<_>>().into_par_iter().try_for_each(below)
     }
 
     /// The own points of a node; not a read if it has none.
@@ -101,7 +104,7 @@ impl<S: Nodes> Tree<S> {
     }
 
     /// Deletes a node and all below it; their points, ascending.
-    pub(super) fn take_subtree(&mut self, cube: Cube) -> Result<Vec<S::Point>, S::Error> {
+    pub(super) fn take_subtree(&self, cube: Cube) -> Result<Vec<S::Point>, S::Error> {
         let mut points = Vec::new();
         let mut open = vec![cube];
         while let Some(cube) = open.pop() {
@@ -128,12 +131,18 @@ pub(super) fn run_inside<T>(sorted: &[T], key: impl Fn(&T) -> Key, cube: Cube) -
     sorted.partition_point(|t| key(t) < first)..sorted.partition_point(|t| key(t) <= last)
 }
 
-/// Two ascending lists as one.
-pub(super) fn merged<T: Ord>(mut a: Vec<T>, b: impl IntoIterator<Item = T>) -> Vec<T> {
-    a.extend(b);
-    // A stable sort merges runs that are sorted already.
-    a.sort();
-    a
+/// Two ascending lists as one; of equals those of `a` come first.
+pub(super) fn merged<T: Ord + Clone>(a: &[T], b: &[T]) -> Vec<T> {
+    let mut both = Vec::with_capacity(a.len() + b.len());
+    let mut rest = b;
+    for item in a {
+        let before = rest.iter().take_while(|other| *other < item).count();
+        both.extend_from_slice(&rest[..before]);
+        both.push(item.clone());
+        rest = &rest[before..];
+    }
+    both.extend_from_slice(rest);
+    both
 }
 
 /// Tight bounds; `None` without points.

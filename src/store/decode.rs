@@ -22,6 +22,27 @@ pub struct DecodedPart {
     pub columns: Vec<(Slot, Column)>,
 }
 
+/// Reads and decodes the positions of a part alone; keys are in the order of the chunk.
+///
+/// # Errors
+///
+/// As [`decode_part`].
+pub fn decode_part_keys(
+    snapshot: &Snapshot,
+    head: &NodeHead,
+    part: usize,
+    decoder: &mut Decoder,
+) -> Result<Vec<Key>, StoreError> {
+    let damage = |what: String| snapshot.place().error(RowName { head, part, slot: SLOT_POSITION }.damage(what));
+    let bytes = snapshot.chunk_bytes(head, part, SLOT_POSITION, &mut ReadCost::default())?;
+    let bytes = bytes.ok_or_else(|| damage("the part has no positions".into()))?;
+    let points = head.parts.get(part).map_or(0, |facts| facts.points as usize);
+    let mut keys = Vec::new();
+    let decoded = PositionChunk::parse(&bytes, head.cube, points).and_then(|c| c.decode_keys(decoder, &mut keys));
+    decoded.map_err(|e| damage(e.to_string()))?;
+    Ok(keys)
+}
+
 /// Reads and decodes all columns of a part.
 ///
 /// # Errors

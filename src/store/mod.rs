@@ -38,7 +38,7 @@ mod zones;
 pub use cache::{BlockKey, CacheFigures, CachedBlock};
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
-pub use decode::{DecodedPart, decode_part};
+pub use decode::{DecodedPart, decode_part, decode_part_keys};
 pub use describe::{
     AttributeCost, CrsDescription, Description, RejectedDescription, ScanDescription, WorldBounds, describe,
 };

@@ -1,18 +1,21 @@
 //! What a changed tree comes to: rows and chunks of the nodes whose content is new, rows alone of those above them.
 
 use super::super::IngestError;
-use super::super::gather::Scratch;
+use super::super::writing::{Sink, through};
+use super::columns::Scattered;
 use super::nodes::{Change, Own, Stored};
-use super::{Ground, Point, gathered};
+use super::pool::Pool;
+use super::{Ground, Point};
 use crate::lattice::{Cube, Key, LOW_DIGITS, NodeKey};
 use crate::octree::{self, Nodes, Tree, TreePoint, wins};
 use crate::store::model::{NodeHead, Zones};
-use crate::store::{ChunkIds, EncodeScratch, EncodedNode, NodeInput, Summary, Writer, encode_node, merge_subtree};
+use crate::store::{ChunkIds, EncodeScratch, NodeInput, Summary, Writer, encode_node, merge_subtree};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
-/// Nodes that are encoded before they are written: enough for all threads, little enough for memory.
-const WINDOW: usize = 64;
+/// Encoded nodes that wait for the writer, at most.
+const QUEUE: usize = 32;
 
 /// The part of a commit that one layer's change makes.
 #[derive(Debug, Default)]
@@ -27,88 +30,48 @@ pub(in super::super) struct Edit {
     pub points: u64,
 }
 
-/// A node to encode.
-struct Job<'p, 'a> {
-    cube: Cube,
-    leaf: bool,
-    children: u8,
-    points: &'p [Point<'a>],
-    wins: Vec<i8>,
-}
-
 /// Encodes and writes what is new; gives the rows.
 pub(super) fn finish(
     ground: &Ground<'_>,
     writer: &mut Writer,
     layer: u16,
-    mut tree: Tree<Stored<'_>>,
+    tree: &Tree<Stored<'_>>,
 ) -> Result<Edit, IngestError> {
     let stored_root = ground.snapshot.site().roots.get(usize::from(layer)).copied().flatten();
-    let root = tree.root();
-    keep_unchanged(&mut tree, root == stored_root)?;
     let nodes = tree.nodes();
-    let mut edit = Edit { layer, root, ..Edit::default() };
-    edit.delete = nodes
-        .changes
-        .iter()
-        .filter(|(_, change)| matches!(change, Change::Gone))
-        .filter_map(|(key, _)| Some((layer, Cube::from_node_key(key)?)))
-        .collect();
-    let Some(root) = root else { return Ok(edit) };
-    let mut affected = Affected::of(nodes, root);
-    affected.jobs(nodes, ground, root)?;
-
+    let mut edit = Edit { layer, root: tree.root(), ..Edit::default() };
+    let gone = |(key, change): (&NodeKey, &Change<'_>)| match change {
+        Change::Gone => Some((layer, Cube::from_node_key(key)?)),
+        Change::Here { .. } => None,
+    };
+    edit.delete = nodes.changes().iter().filter_map(gone).collect();
+    let Some(root) = tree.root() else { return Ok(edit) };
+    let affected = Affected::of(nodes, root);
     let ids = writer.chunk_ids();
-    let mut encoded: BTreeMap<NodeKey, (NodeHead, Zones)> = BTreeMap::new();
-    let jobs = std::mem::take(&mut affected.jobs);
-    for window in jobs.chunks(WINDOW) {
-        let nodes: Vec<EncodedNode> = window
-            .par_iter()
-            .map_init(<(EncodeScratch, Scratch)>::default, |scratch, job| encode(ground, layer, &ids, job, scratch))
-            .collect::<Result<_, _>>()?;
-        for node in nodes {
-            writer.put_chunks(&node.chunks)?;
-            edit.chunks += node.chunks.len() as u64;
-            edit.points += node.head.own_points;
-            encoded.insert(node.head.cube.node_key(), (node.head, node.zones));
-        }
-    }
+    let ((), written) = through(writer, QUEUE, |sink| {
+        let same_root = stored_root == Some(root);
+        let scratches = Pool::default();
+        Job { ground, nodes, affected: &affected, root, same_root, ids: &ids, scratches, sink }.run(root, &[])
+    })?;
+    edit.chunks = written.chunks;
+    let keyed = |(head, zones): (NodeHead, Zones)| (head.cube.node_key(), (head, zones));
+    let mut encoded: BTreeMap<_, _> = written.nodes.into_iter().map(keyed).collect();
+    edit.points = encoded.values().map(|(head, _)| head.own_points).sum();
     summarise(ground, nodes, &affected.cubes, root, &mut encoded, &mut edit.put)?;
     Ok(edit)
 }
 
-/// Points that were written back where they were need no new chunks. Not so in a leaf or a root: there the parts depend
-/// on more than the node's own points.
-fn keep_unchanged(tree: &mut Tree<Stored<'_>>, same_root: bool) -> Result<(), IngestError> {
-    let root = tree.root();
-    let nodes = tree.nodes();
-    let mut kept = Vec::new();
-    for (key, change) in &nodes.changes {
-        let (Change::Here { leaf: false, own: Own::New(points), .. }, Some(cube)) = (change, Cube::from_node_key(key))
-        else {
-            continue;
-        };
-        let was_inner = nodes.head(cube).is_some_and(|head| !head.leaf);
-        if was_inner && (same_root || root != Some(cube)) && nodes.has_just(cube, points)? {
-            kept.push(*key);
-        }
-    }
-    tree.nodes_mut().keep(&kept);
-    Ok(())
-}
-
 /// The nodes whose rows change: those with changes and all above them.
-struct Affected<'p, 'a> {
+struct Affected {
     cubes: BTreeSet<NodeKey>,
     /// Those with a new leaf at or below them, whose points' levels depend on the points above.
     over_leaves: BTreeSet<NodeKey>,
-    jobs: Vec<Job<'p, 'a>>,
 }
 
-impl<'p, 'a> Affected<'p, 'a> {
-    fn of(nodes: &'p Stored<'a>, root: Cube) -> Self {
+impl Affected {
+    fn of(nodes: &Stored<'_>, root: Cube) -> Self {
         let (mut cubes, mut over_leaves) = (BTreeSet::new(), BTreeSet::new());
-        for (key, change) in &nodes.changes {
+        for (key, change) in nodes.changes().iter() {
             let Some(cube) = Cube::from_node_key(key).filter(|cube| root.contains_cube(*cube)) else { continue };
             let new_leaf = matches!(change, Change::Here { leaf: true, own: Own::New(_), .. });
             let from = if matches!(change, Change::Gone) { cube.k() + 1 } else { cube.k() };
@@ -124,62 +87,119 @@ impl<'p, 'a> Affected<'p, 'a> {
                 }
             }
         }
-        Self { cubes, over_leaves, jobs: Vec::new() }
+        Self { cubes, over_leaves }
+    }
+}
+
+/// Encoding, from the root down, on all threads.
+struct Job<'j, 'a> {
+    ground: &'j Ground<'j>,
+    nodes: &'j Stored<'a>,
+    affected: &'j Affected,
+    root: Cube,
+    same_root: bool,
+    ids: &'j ChunkIds,
+    scratches: Pool<EncodeScratch>,
+    sink: Sink<'j>,
+}
+
+impl<'a> Job<'_, 'a> {
+    /// Encodes what is new in the node of `cube` and below. `above` are the keys of the points stored in its proper
+    /// ancestors and inside it, if there is a new leaf at or below it.
+    fn run(&self, cube: Cube, above: &[Key]) -> Result<(), IngestError> {
+        let Some(row) = self.nodes.row(cube)? else { return Ok(()) };
+        let children = children(self.nodes, cube, row.leaf)?;
+        let own = || match self.nodes.written(cube) {
+            Some(points) if !points.is_empty() && !self.is_unchanged(cube, row.leaf, &points) => {
+                self.encode(cube, row.leaf, children, &points, above)
+            }
+            _ => Ok(()),
+        };
+        let over_leaves = |cube: &Cube| self.affected.over_leaves.contains(&cube.node_key());
+        let below = || {
+            let affected = |child: &Cube| self.affected.cubes.contains(&child.node_key());
+            let below: Vec<Cube> = octants(cube, children).filter(affected).collect();
+            let all = match below.iter().any(over_leaves) {
+                true => merged(above, &self.nodes.keys(cube)?),
+                false => Vec::new(),
+            };
+            let run = |child: Cube| {
+                let above = if over_leaves(&child) { inside(&all, child) } else { &[] };
+                self.run(child, above)
+            };
+            below.into_par_iter().try_for_each(run)
+        };
+        if children == 0 {
+            return own();
+        }
+        let (below, own) = rayon::join(below, own);
+        below.and(own)
     }
 
-    /// Lists the nodes to encode, with the wins of their points.
-    fn jobs(&mut self, nodes: &'p Stored<'a>, ground: &Ground<'_>, root: Cube) -> Result<(), IngestError> {
-        let mut open = vec![(root, Vec::new())];
-        while let Some((cube, above)) = open.pop() {
-            let Some(row) = nodes.row(cube)? else { continue };
-            let key = cube.node_key();
-            let children = children(nodes, cube, row.leaf)?;
-            if let Some(Change::Here { own: Own::New(points), .. }) = nodes.changes.get(&key)
-                && !points.is_empty()
-            {
-                let points = points.as_slice();
-                let wins = if row.leaf || cube == root {
-                    wins_under(points, &above, root)
-                } else {
-                    vec![ground.params.cell(cube.k()); points.len()]
-                };
-                self.jobs.push(Job { cube, leaf: row.leaf, children, points, wins });
-            }
-            if children == 0 {
-                continue;
-            }
-            let below: Vec<Cube> = (0..8)
-                .filter(|octant| children & 1 << octant != 0)
-                .filter_map(|octant| cube.child(octant))
-                .filter(|child| self.cubes.contains(&child.node_key()))
-                .collect();
-            let over_leaves = |cube: &Cube| self.over_leaves.contains(&cube.node_key());
-            let all = if below.iter().any(over_leaves) {
-                let mut all = above;
-                all.extend(nodes.keys(cube)?);
-                all.sort();
-                all
+    /// Points that were written back where they were need no new chunks. Not so in a leaf or a root: there the parts
+    /// depend on more than the node's own points.
+    fn is_unchanged(&self, cube: Cube, leaf: bool, points: &[Point<'a>]) -> bool {
+        let was_inner = || self.nodes.head(cube).is_some_and(|head| !head.leaf);
+        !leaf && (self.same_root || self.root != cube) && was_inner() && self.nodes.has_just(cube, points)
+    }
+
+    fn encode(
+        &self,
+        cube: Cube,
+        leaf: bool,
+        children: u8,
+        points: &Arc<Vec<Point<'a>>>,
+        above: &[Key],
+    ) -> Result<(), IngestError> {
+        self.nodes.go_on()?;
+        let keys: Vec<Key> = points.iter().map(TreePoint::key).collect();
+        let wins = match leaf || cube == self.root {
+            true => wins_under(&keys, above, self.root),
+            false => vec![self.ground.params.cell(cube.k()); keys.len()],
+        };
+        let plan = octree::split(&wins, &octree::steps(&keys, &wins));
+        let scattered = Scattered::new(points);
+        let scan = |point: &Point<'_>| self.ground.scans.id(point.place());
+        let parts: Vec<_> = plan.iter().map(|part| scattered.columns(&part.points, scan)).collect();
+        let (layer, plan, parts) = (self.nodes.layer, &plan[..], &parts[..]);
+        let encoded = self.scratches.lend(|scratch| {
+            if cube.k() <= LOW_DIGITS {
+                let keys: Vec<u64> = keys.iter().map(|key| key.low).collect();
+                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
+                encode_node(&input, self.ground.table, self.ids, scratch)
             } else {
-                Vec::new()
-            };
-            open.extend(below.into_iter().map(|child| {
-                let keys = if over_leaves(&child) { super::inside(&all, child).to_vec() } else { Vec::new() };
-                (child, keys)
-            }));
-        }
-        Ok(())
+                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
+                encode_node(&input, self.ground.table, self.ids, scratch)
+            }
+        });
+        (self.sink)(encoded.map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?)
     }
 }
 
 /// The wins of a node's points among these and the points stored above it, both ascending.
-fn wins_under(points: &[Point<'_>], above: &[Key], root: Cube) -> Vec<i8> {
+fn wins_under(keys: &[Key], above: &[Key], root: Cube) -> Vec<i8> {
+    if above.is_empty() {
+        return wins(keys, root.k() as i8);
+    }
     // Of equal keys the one stored coarser comes first.
     let mut merged: Vec<(Key, bool)> = above.iter().map(|&key| (key, false)).collect();
-    merged.extend(points.iter().map(|p| (p.key(), true)));
+    merged.extend(keys.iter().map(|&key| (key, true)));
     merged.sort();
     let keys: Vec<Key> = merged.iter().map(|m| m.0).collect();
     let all = wins(&keys, root.k() as i8);
     all.into_iter().zip(merged).filter(|(_, (_, own))| *own).map(|(win, _)| win).collect()
+}
+
+fn merged(a: &[Key], b: &[Key]) -> Vec<Key> {
+    let mut all = [a, b].concat();
+    // A stable sort merges two runs.
+    all.sort();
+    all
+}
+
+fn inside(keys: &[Key], cube: Cube) -> &[Key] {
+    let (first, last) = (cube.first_key(), cube.last_key());
+    &keys[keys.partition_point(|k| *k < first)..keys.partition_point(|k| *k <= last)]
 }
 
 /// Which octants of an inner node have a child.
@@ -197,27 +217,9 @@ fn children(nodes: &Stored<'_>, cube: Cube, leaf: bool) -> Result<u8, IngestErro
     Ok(mask)
 }
 
-fn encode(
-    ground: &Ground<'_>,
-    layer: u16,
-    ids: &ChunkIds,
-    job: &Job<'_, '_>,
-    (scratch, gather): &mut (EncodeScratch, Scratch),
-) -> Result<EncodedNode, IngestError> {
-    let Job { cube, leaf, children, points, ref wins } = *job;
-    let failed = |e| IngestError::Internal(format!("node {cube:?}: {e}"));
-    let keys: Vec<Key> = points.iter().map(TreePoint::key).collect();
-    let plan = octree::split(wins, &octree::steps(&keys, wins));
-    let parts: Vec<_> = plan.iter().map(|part| gathered(ground.scans, points, &part.points, gather)).collect();
-    let (plan, parts) = (&plan[..], &parts[..]);
-    if cube.k() <= LOW_DIGITS {
-        let keys: Vec<u64> = keys.iter().map(|key| key.low).collect();
-        let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
-        encode_node(&input, ground.table, ids, scratch).map_err(failed)
-    } else {
-        let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
-        encode_node(&input, ground.table, ids, scratch).map_err(failed)
-    }
+/// The cubes of the octants in a mask.
+fn octants(cube: Cube, mask: u8) -> impl Iterator<Item = Cube> {
+    (0..8).filter(move |octant| mask & 1 << octant != 0).filter_map(move |octant| cube.child(octant))
 }
 
 /// Brings the rows of all affected nodes up to date, children first; gives the summary of `cube`.
@@ -238,7 +240,7 @@ fn summarise(
     }
     let children = children(nodes, cube, row.leaf)?;
     let mut below = Vec::new();
-    for child in (0..8).filter(|octant| children & 1 << octant != 0).filter_map(|octant| cube.child(octant)) {
+    for child in octants(cube, children) {
         below.extend(summarise(ground, nodes, affected, child, encoded, put)?);
     }
     let (mut head, mut zones) = match (encoded.remove(&key), stored, row.own) {

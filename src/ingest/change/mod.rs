@@ -2,26 +2,30 @@
 //! read, encoded and written.
 //!
 //! [`crate::octree::Tree`] says what happens to which node; here are the nodes of a snapshot under a layer of changes
-//! ([`nodes`]), the points that travel through them ([`point`]), and what the changes come to as rows ([`finish`]).
+//! ([`nodes`]), the points that travel through them ([`point`]), the columns that they become ([`columns`]), and what
+//! the changes come to as rows ([`finish`]).
 
+mod columns;
 mod finish;
 mod nodes;
 mod point;
+mod pool;
+#[cfg(test)]
+mod tests;
 
 pub(super) use finish::Edit;
-pub(super) use point::{NewRows, Point, ScanOrder, gathered};
+pub(super) use point::{NewPoints, Point, ScanOrder};
 
 use super::IngestError;
-use super::gather::ScanColumns;
 use crate::lattice::Cube;
-use crate::lattice::Key;
-use crate::octree::{Doomed, Params, Tree};
-use crate::store::model::ScanId;
+use crate::octree::{Doomed, Params, Tree, TreePoint};
+use crate::store::model::{NodeHead, ScanId};
 use crate::store::{NodeIndex, ScanTable, Snapshot, Writer};
 use nodes::{Blocks, Stored};
+use std::sync::Arc;
 
 /// Bytes of memory that a point takes while it is changed: in the store's block, in its node, and encoded.
-pub(super) const POINT_BYTES: u64 = 200;
+pub(super) const POINT_BYTES: u64 = 140;
 
 /// What a change is made on.
 pub(super) struct Ground<'a> {
@@ -29,7 +33,7 @@ pub(super) struct Ground<'a> {
     pub index: &'a NodeIndex,
     pub params: Params,
     /// All scans of the store and the new ones.
-    pub scans: &'a ScanOrder<'a>,
+    pub scans: &'a Arc<ScanOrder>,
     pub table: &'a ScanTable,
 }
 
@@ -48,43 +52,45 @@ pub(super) fn change(
     let root = ground.snapshot.site().roots.get(usize::from(layer)).copied().flatten();
     let mut tree = Tree::existing(ground.params, root, stored);
     if !doomed.is_empty() {
-        tree.remove(&mut DoomedScans { scans: doomed, order: ground.scans })?;
+        let doomed = DoomedScans { scans: doomed, order: ground.scans };
+        tree.nodes().prefetch_where(|head| doomed.own(head) > 0)?;
+        tree.remove(&doomed)?;
     }
     if !points.is_empty() {
         tree.nodes().prefetch(&points)?;
         tree.insert(points)?;
     }
-    finish::finish(ground, writer, layer, tree)
+    finish::finish(ground, writer, layer, &tree)
 }
 
-/// How many stored points of a layer lie in nodes that would receive at least one of `keys`, which ascend: what putting
-/// them in there would rewrite, about.
-pub(super) fn touched(index: &NodeIndex, layer: u16, keys: &[Key]) -> u64 {
+/// How many stored points of a layer lie in nodes that would receive at least one of `points`, which ascend: what
+/// putting them in there would rewrite, about.
+pub(super) fn touched(index: &NodeIndex, layer: u16, points: &[Point<'_>]) -> u64 {
     let Some(root) = index.root(layer) else { return 0 };
-    let mut open = vec![(root, inside(keys, index.head(root).cube))];
-    let mut points = 0;
-    while let Some((node, keys)) = open.pop() {
-        if keys.is_empty() {
+    let mut open = vec![(root, inside(points, index.head(root).cube))];
+    let mut touched = 0;
+    while let Some((node, points)) = open.pop() {
+        if points.is_empty() {
             continue;
         }
-        points += index.head(node).own_points;
-        open.extend(index.children(node).map(|child| (child, inside(keys, index.head(child).cube))));
+        touched += index.head(node).own_points;
+        open.extend(index.children(node).map(|child| (child, inside(points, index.head(child).cube))));
     }
-    points
+    touched
 }
 
 /// How many stored points of a layer lie where `scans` have points, or below: what taking them out may rewrite, at most.
 pub(super) fn touched_by_removal(index: &NodeIndex, layer: u16, scans: &[ScanId]) -> u64 {
     let Some(root) = index.root(layer) else { return 0 };
-    let has = |node, own: bool| {
+    let has = |node| {
         let counts = &index.head(node).scans;
-        counts.iter().any(|c| scans.binary_search(&c.scan).is_ok() && (!own || c.own > 0))
+        counts.iter().any(|c| scans.binary_search(&c.scan).is_ok())
     };
     // A node is touched if it or an ancestor loses a point inside its cube; that ancestors lose one is a guess.
     let mut open = vec![root];
     let mut points = 0;
     while let Some(node) = open.pop() {
-        if has(node, false) {
+        if has(node) {
             points += index.head(node).own_points;
             open.extend(index.children(node));
         }
@@ -92,38 +98,41 @@ pub(super) fn touched_by_removal(index: &NodeIndex, layer: u16, scans: &[ScanId]
     points
 }
 
-fn inside(keys: &[Key], cube: Cube) -> &[Key] {
+/// Those of ascending points that lie in a cube.
+fn inside<'p, P: TreePoint>(points: &'p [P], cube: Cube) -> &'p [P] {
     let (first, last) = (cube.first_key(), cube.last_key());
-    &keys[keys.partition_point(|k| *k < first)..keys.partition_point(|k| *k <= last)]
+    &points[points.partition_point(|p| p.key() < first)..points.partition_point(|p| p.key() <= last)]
 }
 
 /// All points of some scans.
 struct DoomedScans<'a> {
     /// Ascending.
     scans: &'a [ScanId],
-    order: &'a ScanOrder<'a>,
+    order: &'a ScanOrder,
+}
+
+impl DoomedScans<'_> {
+    fn has(&self, scan: ScanId) -> bool {
+        self.scans.binary_search(&scan).is_ok()
+    }
+
+    fn own(&self, head: &NodeHead) -> u64 {
+        head.scans.iter().filter(|c| self.has(c.scan)).map(|c| c.own).sum()
+    }
 }
 
 impl<'a> Doomed<Stored<'a>> for DoomedScans<'_> {
     // A node is asked for before anything in it changes, so what the store's row says is still true.
     fn own(&self, nodes: &Stored<'a>, cube: Cube) -> Result<u64, IngestError> {
-        let counts = nodes.stored_scans(cube);
-        Ok(counts.iter().filter(|c| self.scans.binary_search(&c.scan).is_ok()).map(|c| c.own).sum())
+        Ok(nodes.head(cube).map_or(0, |head| self.own(head)))
     }
 
     fn subtree(&self, nodes: &Stored<'a>, cube: Cube) -> Result<u64, IngestError> {
-        let counts = nodes.stored_scans(cube);
-        Ok(counts.iter().filter(|c| self.scans.binary_search(&c.scan).is_ok()).map(|c| c.subtree).sum())
+        let counts = nodes.head(cube).map_or(&[][..], |head| &head.scans);
+        Ok(counts.iter().filter(|c| self.has(c.scan)).map(|c| c.subtree).sum())
     }
 
-    fn takes(&mut self, point: &Point<'a>) -> bool {
-        self.scans.binary_search(&self.order.columns(point.scan).id).is_ok()
-    }
-}
-
-/// The columns of a scan, by its place in the order of scans.
-impl<'a> ScanOrder<'a> {
-    fn columns(&self, place: u32) -> &ScanColumns<'a> {
-        &self.all()[place as usize]
+    fn takes(&self, point: &Point<'a>) -> bool {
+        self.has(self.order.id(point.place()))
     }
 }

@@ -1,40 +1,33 @@
 //! The nodes of one layer of a snapshot, under the changes that were made to them.
 
 use super::super::IngestError;
-use super::super::stored::records;
 use super::Ground;
-use super::point::{Point, ScanOrder};
+use super::point::{Block, Point, ScanOrder};
+use super::pool::Pool;
 use crate::codec::Decoder;
 use crate::lattice::{Cube, Key, LatticeBox, NodeKey};
 use crate::octree::{Nodes, Row, TreePoint};
-use crate::store::model::{NodeHead, ScanCount};
-use crate::store::{NodeIndex, NodeIx, Snapshot, decode_part};
+use crate::store::model::NodeHead;
+use crate::store::{NodeIndex, NodeIx, Snapshot, decode_part, decode_part_keys};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::sync::OnceLock;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// The stored points of the nodes that were read; each node is read once.
 pub(super) struct Blocks {
     first: NodeIx,
     cells: Vec<OnceLock<Block>>,
-}
-
-/// A node's points as canonical records, part after part.
-#[derive(Debug, Default)]
-struct Block {
-    keys: Vec<Key>,
-    scans: Vec<u32>,
-    records: Vec<u8>,
-    /// Where each record begins, and the end of the last.
-    starts: Vec<u32>,
-    /// The points in canonical order.
-    order: Vec<u32>,
+    decoders: Pool<Decoder>,
 }
 
 impl Blocks {
     pub fn new(index: &NodeIndex, layer: u16) -> Self {
         let nodes = index.layer(layer);
-        Self { first: nodes.start, cells: nodes.map(|_| OnceLock::new()).collect() }
+        Self { first: nodes.start, cells: nodes.map(|_| OnceLock::new()).collect(), decoders: Pool::default() }
+    }
+
+    fn cell(&self, node: NodeIx) -> &OnceLock<Block> {
+        &self.cells[(node - self.first) as usize]
     }
 }
 
@@ -46,12 +39,12 @@ pub(super) enum Change<'a> {
 }
 
 /// The points that a node stores.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Own<'a> {
     /// Those that the store has.
     Kept,
     /// These, ascending.
-    New(Vec<Point<'a>>),
+    New(Arc<Vec<Point<'a>>>),
 }
 
 /// See the module.
@@ -59,16 +52,26 @@ pub(super) struct Stored<'a> {
     snapshot: &'a Snapshot,
     pub index: &'a NodeIndex,
     pub layer: u16,
-    scans: &'a ScanOrder<'a>,
+    scans: &'a Arc<ScanOrder>,
     blocks: &'a Blocks,
-    pub changes: BTreeMap<NodeKey, Change<'a>>,
+    changes: Mutex<BTreeMap<NodeKey, Change<'a>>>,
     cancelled: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl<'a> Stored<'a> {
-    pub fn new(ground: &Ground<'a>, layer: u16, blocks: &'a Blocks, cancelled: &'a (dyn Fn() -> bool + Sync)) -> Self {
+    pub fn new(
+        ground: &Ground<'a>,
+        layer: u16,
+        blocks: &'a Blocks,
+        cancelled: &'a (dyn Fn() -> bool + Sync),
+    ) -> Self {
         let Ground { snapshot, index, scans, .. } = *ground;
-        Self { snapshot, index, layer, scans, blocks, changes: BTreeMap::new(), cancelled }
+        Self { snapshot, index, layer, scans, blocks, changes: Mutex::default(), cancelled }
+    }
+
+    /// An error if the change is to stop.
+    pub fn go_on(&self) -> Result<(), IngestError> {
+        if (self.cancelled)() { Err(IngestError::Interrupted) } else { Ok(()) }
     }
 
     /// The row of the store.
@@ -76,50 +79,56 @@ impl<'a> Stored<'a> {
         self.index.find(self.layer, cube).map(|node| self.index.head(node))
     }
 
-    /// Points by scan, as the store has them.
-    pub fn stored_scans(&self, cube: Cube) -> &'a [ScanCount] {
-        self.head(cube).map_or(&[], |head| &head.scans)
+    /// What was changed, by node.
+    pub fn changes(&self) -> MutexGuard<'_, BTreeMap<NodeKey, Change<'a>>> {
+        // Every change is whole after one statement.
+        self.changes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The points of a node that was written.
+    pub fn written(&self, cube: Cube) -> Option<Arc<Vec<Point<'a>>>> {
+        match self.changes().get(&cube.node_key()) {
+            Some(Change::Here { own: Own::New(points), .. }) => Some(points.clone()),
+            _ => None,
+        }
     }
 
     /// Reads the nodes that will receive at least one of `points`, which ascend, on all threads.
     pub fn prefetch(&self, points: &[Point<'_>]) -> Result<(), IngestError> {
         let Some(root) = self.index.root(self.layer) else { return Ok(()) };
-        let inside = |points: &'_ [Point<'_>], node| {
-            let cube = self.index.head(node).cube;
-            let (first, last) = (cube.first_key(), cube.last_key());
-            points.partition_point(|p| p.key < first)..points.partition_point(|p| p.key <= last)
-        };
         let mut nodes = Vec::new();
-        let mut open = vec![(root, inside(points, root))];
-        while let Some((node, range)) = open.pop() {
-            if range.is_empty() {
-                continue;
+        let mut open = vec![(root, super::inside(points, self.index.head(root).cube))];
+        while let Some((node, points)) = open.pop() {
+            if !points.is_empty() {
+                nodes.push(node);
+                let inside = |child| (child, super::inside(points, self.index.head(child).cube));
+                open.extend(self.index.children(node).map(inside));
             }
-            nodes.push(node);
-            open.extend(self.index.children(node).map(|child| {
-                let below = inside(&points[range.clone()], child);
-                (child, below.start + range.start..below.end + range.start)
-            }));
         }
+        self.read_all(nodes)
+    }
+
+    /// Reads the nodes whose row passes `test`, on all threads.
+    pub fn prefetch_where(&self, test: impl Fn(&NodeHead) -> bool) -> Result<(), IngestError> {
+        self.read_all(self.index.layer(self.layer).filter(|&node| test(self.index.head(node))).collect())
+    }
+
+    fn read_all(&self, nodes: Vec<NodeIx>) -> Result<(), IngestError> {
         nodes.into_par_iter().try_for_each(|node| self.block(node).map(drop))
     }
 
     fn block(&self, node: NodeIx) -> Result<&'a Block, IngestError> {
-        let cell = &self.blocks.cells[(node - self.blocks.first) as usize];
+        let cell = self.blocks.cell(node);
         if let Some(block) = cell.get() {
             return Ok(block);
         }
-        if (self.cancelled)() {
-            return Err(IngestError::Interrupted);
-        }
+        self.go_on()?;
         let head = self.index.head(node);
-        let mut block = Block::default();
-        let mut decoder = Decoder::new();
-        for part in 0..head.parts.len() {
-            block.append(&decode_part(self.snapshot, head, part, &mut decoder)?, self.scans)?;
-        }
-        block.starts.push(block.records.len() as u32);
-        block.sort();
+        let parts = self.blocks.decoders.lend(|decoder| {
+            let parts = (0..head.parts.len()).map(|part| decode_part(self.snapshot, head, part, decoder));
+            parts.collect::<Result<_, _>>()
+        });
+        let block = Block::of_parts(self.scans, head.cube, parts?)?;
         // Another thread may have been faster; it has read the same.
         Ok(cell.get_or_init(|| block))
     }
@@ -129,69 +138,32 @@ impl<'a> Stored<'a> {
         if self.index.head(node).own_points == 0 {
             return Ok(Vec::new());
         }
-        Ok(self.block(node)?.points())
+        Ok(self.block(node)?.points().collect())
     }
 
-    /// The keys of the points that a node stores, ascending.
+    /// The keys of the points that a node stores, ascending. Of a node that was not read, the positions alone are.
     pub fn keys(&self, cube: Cube) -> Result<Vec<Key>, IngestError> {
-        Ok(self.read(cube)?.iter().map(TreePoint::key).collect())
-    }
-
-    /// Takes the store's points for those of these nodes, which are the same.
-    pub fn keep(&mut self, nodes: &[NodeKey]) {
-        for key in nodes {
-            if let Some(Change::Here { own, .. }) = self.changes.get_mut(key) {
-                *own = Own::Kept;
-            }
+        if let Some(points) = self.written(cube) {
+            return Ok(points.iter().map(TreePoint::key).collect());
         }
+        let Some(node) = self.index.find(self.layer, cube) else { return Ok(Vec::new()) };
+        if let Some(block) = self.blocks.cell(node).get() {
+            return Ok(block.points().map(|p| p.key()).collect());
+        }
+        let head = self.index.head(node);
+        let mut decoder = Decoder::new();
+        let mut keys = Vec::new();
+        for part in 0..head.parts.len() {
+            keys.append(&mut decode_part_keys(self.snapshot, head, part, &mut decoder)?);
+        }
+        keys.sort_unstable();
+        Ok(keys)
     }
 
     /// Does the store have just these points in this node?
-    pub fn has_just(&self, cube: Cube, points: &[Point<'_>]) -> Result<bool, IngestError> {
-        let same_number = self.head(cube).is_some_and(|head| head.own_points == points.len() as u64);
-        Ok(same_number && self.stored_points(cube)? == points)
-    }
-}
-
-impl Block {
-    fn append(&mut self, part: &crate::store::DecodedPart, scans: &ScanOrder<'_>) -> Result<(), IngestError> {
-        self.keys.extend_from_slice(&part.keys);
-        let mut last = None;
-        for &scan in &part.scans {
-            let place = match last {
-                Some((id, place)) if id == scan => place,
-                _ => {
-                    let place = scans.place(scan);
-                    place.ok_or_else(|| IngestError::Internal(format!("points of scan {scan}, which is not there")))?
-                }
-            };
-            last = Some((scan, place));
-            self.scans.push(place);
-        }
-        let of_part = &self.scans[self.scans.len() - part.scans.len()..];
-        records(part, of_part, scans.all(), &mut self.records, &mut self.starts);
-        if u32::try_from(self.records.len()).is_err() {
-            return Err(IngestError::Internal("a node's records take more than 4 GiB".into()));
-        }
-        Ok(())
-    }
-
-    fn point(&self, i: u32) -> Point<'_> {
-        let i = i as usize;
-        let record = &self.records[self.starts[i] as usize..self.starts[i + 1] as usize];
-        Point { key: self.keys[i], record, scan: self.scans[i] }
-    }
-
-    /// Done where the node is read, on all threads: changes of the tree come one after the other.
-    fn sort(&mut self) {
-        let mut order: Vec<u32> = (0..).take(self.keys.len()).collect();
-        // Parts are in order each; a stable sort merges them.
-        order.sort_by(|&a, &b| self.point(a).cmp(&self.point(b)));
-        self.order = order;
-    }
-
-    fn points(&self) -> Vec<Point<'_>> {
-        self.order.iter().map(|&i| self.point(i)).collect()
+    pub fn has_just(&self, cube: Cube, points: &[Point<'_>]) -> bool {
+        let block = self.index.find(self.layer, cube).and_then(|node| self.blocks.cell(node).get());
+        block.is_some_and(|b| b.points().len() == points.len() && b.points().zip(points).all(|(a, b)| a.is(b)))
     }
 }
 
@@ -201,7 +173,7 @@ impl<'a> Nodes for Stored<'a> {
 
     fn row(&self, cube: Cube) -> Result<Option<Row>, IngestError> {
         let stored = || self.head(cube);
-        Ok(match self.changes.get(&cube.node_key()) {
+        Ok(match self.changes().get(&cube.node_key()) {
             Some(Change::Gone) => None,
             Some(Change::Here { leaf, rem, own }) => {
                 let own = match own {
@@ -215,53 +187,58 @@ impl<'a> Nodes for Stored<'a> {
     }
 
     fn read(&self, cube: Cube) -> Result<Vec<Point<'a>>, IngestError> {
-        match self.changes.get(&cube.node_key()) {
-            Some(Change::Gone) => Ok(Vec::new()),
-            Some(Change::Here { own: Own::New(points), .. }) => Ok(points.clone()),
-            Some(Change::Here { own: Own::Kept, .. }) | None => self.stored_points(cube),
-        }
+        let written = match self.changes().get(&cube.node_key()) {
+            Some(Change::Gone) => return Ok(Vec::new()),
+            Some(Change::Here { own: Own::New(points), .. }) => Some(points.clone()),
+            Some(Change::Here { own: Own::Kept, .. }) | None => None,
+        };
+        // Not under the lock, which all threads want.
+        written.map_or_else(|| self.stored_points(cube), |points| Ok(points.to_vec()))
     }
 
-    fn write(&mut self, cube: Cube, leaf: bool, rem: u64, points: Vec<Point<'a>>) -> Result<(), IngestError> {
-        if (self.cancelled)() {
-            return Err(IngestError::Interrupted);
-        }
-        self.changes.insert(cube.node_key(), Change::Here { leaf, rem, own: Own::New(points) });
+    fn write(&self, cube: Cube, leaf: bool, rem: u64, points: Vec<Point<'a>>) -> Result<(), IngestError> {
+        self.go_on()?;
+        self.changes().insert(cube.node_key(), Change::Here { leaf, rem, own: Own::New(Arc::new(points)) });
         Ok(())
     }
 
-    fn set_rem(&mut self, cube: Cube, new: u64) -> Result<(), IngestError> {
-        match self.changes.get_mut(&cube.node_key()) {
+    fn set_rem(&self, cube: Cube, new: u64) -> Result<(), IngestError> {
+        let mut changes = self.changes();
+        match changes.get_mut(&cube.node_key()) {
             Some(Change::Here { rem, .. }) => *rem = new,
             Some(Change::Gone) => {}
             None => {
                 if let Some(head) = self.head(cube) {
                     let change = Change::Here { leaf: head.leaf, rem: new, own: Own::Kept };
-                    self.changes.insert(cube.node_key(), change);
+                    changes.insert(cube.node_key(), change);
                 }
             }
         }
         Ok(())
     }
 
-    fn delete(&mut self, cube: Cube) -> Result<(), IngestError> {
+    fn delete(&self, cube: Cube) -> Result<(), IngestError> {
         if self.head(cube).is_some() {
-            self.changes.insert(cube.node_key(), Change::Gone);
+            self.changes().insert(cube.node_key(), Change::Gone);
         } else {
-            self.changes.remove(&cube.node_key());
+            self.changes().remove(&cube.node_key());
         }
         Ok(())
     }
 
     fn bounds(&self, cube: Cube) -> Result<Option<LatticeBox>, IngestError> {
+        let changes = self.changes();
+        let reaches = |cube: Cube| {
+            changes.range(cube.node_key()..=cube.last_node_key()).next().is_some() || self.head(cube).is_some()
+        };
         let mut bounds: Option<LatticeBox> = None;
         let mut open = vec![cube];
         while let Some(cube) = open.pop() {
-            let changed = self.changes.range(cube.node_key()..=cube.last_node_key()).next().is_some();
-            let found = match (self.changes.get(&cube.node_key()), self.head(cube)) {
+            let changed = changes.range(cube.node_key()..=cube.last_node_key()).next().is_some();
+            let found = match (changes.get(&cube.node_key()), self.head(cube)) {
                 (None, Some(head)) if !changed => Some(head.subtree_bounds),
                 (Some(Change::Here { own: Own::New(points), .. }), _) => {
-                    points.iter().map(|p| LatticeBox::of(p.key.point())).reduce(|a, b| a.union(&b))
+                    points.iter().map(|p| LatticeBox::of(p.key().point())).reduce(|a, b| a.union(&b))
                 }
                 (None | Some(Change::Here { .. }), head) => head.and_then(|h| h.own_bounds),
                 (Some(Change::Gone), _) => None,
@@ -272,16 +249,9 @@ impl<'a> Nodes for Stored<'a> {
             };
             if changed {
                 // A node that is gone may leave children: the abandoned chain of a root that shrinks.
-                open.extend((0..8).filter_map(|octant| cube.child(octant)).filter(|c| self.reaches(*c)));
+                open.extend((0..8).filter_map(|octant| cube.child(octant)).filter(|c| reaches(*c)));
             }
         }
         Ok(bounds)
-    }
-}
-
-impl Stored<'_> {
-    /// Is anything at or below this cube, or was it changed?
-    fn reaches(&self, cube: Cube) -> bool {
-        self.changes.range(cube.node_key()..=cube.last_node_key()).next().is_some() || self.head(cube).is_some()
     }
 }

@@ -24,7 +24,7 @@ fn check_insert_reads(before: &MemoryTree<Point>, after: &MemoryTree<Point>, rea
         };
         grown.is_some() && after.nodes().all().iter().any(over)
     };
-    for (key, node) in before.nodes().all() {
+    for (key, node) in before.nodes().all().iter() {
         let receives = rem(after, key) > rem(before, key);
         let is_old_root = grown == Some(cube(key));
         let allowed = receives || is_old_root || absorbed(key);
@@ -43,11 +43,12 @@ fn check_remove_reads(
     reads: &BTreeSet<NodeKey>,
 ) {
     let mut allowed = BTreeSet::new();
-    for (key, node) in before.nodes().all() {
+    let all = before.nodes().all();
+    for (key, node) in all.iter() {
         for p in node.points.iter().filter(|p| gone(p)) {
             allowed.insert(*key);
             if !node.leaf {
-                let below = before.nodes().all().range(*key..=cube(key).last_node_key());
+                let below = all.range(*key..=cube(key).last_node_key());
                 allowed.extend(below.filter(|(k, _)| cube(k).contains(given::at(p))).map(|(k, _)| *k));
             }
         }
@@ -94,7 +95,7 @@ proptest! {
             let before = tree.clone();
             tree.nodes().take_reads();
             let gone = |p: &Point| p.1 == scan;
-            let count = tree.remove(&mut Matching(gone)).unwrap();
+            let count = tree.remove(&Matching(gone)).unwrap();
             let reads = tree.nodes().take_reads();
             prop_assert_eq!(count as usize, points.iter().filter(|p| gone(p)).count());
             points.retain(|p| !gone(p));
@@ -112,8 +113,8 @@ proptest! {
             points.extend(batch);
         }
         for batch in batches.iter().rev() {
-            let mut requests: Requests<Point> = batch.iter().copied().collect();
-            prop_assert_eq!(tree.remove(&mut requests).unwrap() as usize, batch.len());
+            let requests: Requests<Point> = batch.iter().copied().collect();
+            prop_assert_eq!(tree.remove(&requests).unwrap() as usize, batch.len());
             points = without(&points, batch);
             check(&tree, &points);
         }
@@ -129,7 +130,7 @@ proptest! {
         let doubled: Vec<Point> = points.iter().flat_map(|p| [*p, *p]).collect();
         let mut tree = MemoryTree::of(doubled.clone(), params);
         let gone: Vec<Point> = points.iter().zip(&keep).filter(|(_, keep)| !**keep).map(|(p, _)| *p).collect();
-        tree.remove(&mut gone.iter().copied().collect::<Requests<_>>()).unwrap();
+        tree.remove(&gone.iter().copied().collect::<Requests<_>>()).unwrap();
         check(&tree, &without(&doubled, &gone));
     }
 
@@ -146,7 +147,7 @@ proptest! {
             there.push(batch);
             if undo {
                 let batch = there.swap_remove(which.index(there.len()));
-                tree.remove(&mut batch.into_iter().collect::<Requests<_>>()).unwrap();
+                tree.remove(&batch.into_iter().collect::<Requests<_>>()).unwrap();
             }
             check(&tree, &there.concat());
         }
@@ -188,6 +189,6 @@ fn the_real_parameters_give_the_tree_of_the_definition() {
     assert!(only_a == naive::tree(&a, given::at, params));
     tree.insert(b.clone()).unwrap();
     assert!(nodes(&tree) == naive::tree(&[a, b].concat(), given::at, params));
-    tree.remove(&mut Matching(|p: &Point| p.1 == 2)).unwrap();
+    tree.remove(&Matching(|p: &Point| p.1 == 2)).unwrap();
     assert!(nodes(&tree) == only_a);
 }

@@ -12,14 +12,14 @@ fn added(params: Params, a: &[Point], b: &[Point]) {
 fn removed(params: Params, keep: &[Point], gone: &[Point]) {
     let all = [keep, gone].concat();
     let mut tree = MemoryTree::of(all.clone(), params);
-    tree.remove(&mut gone.iter().copied().collect::<Requests<_>>()).unwrap();
+    tree.remove(&gone.iter().copied().collect::<Requests<_>>()).unwrap();
     check(&tree, keep);
     // The same with the points that go as a scan of their own, which follow or precede their equals.
     for scan in [1, 0] {
         let mark = |points: &[Point], number| points.iter().map(|p| (p.0, number)).collect::<Vec<_>>();
         let (keep, gone) = (mark(keep, 1 - scan), mark(gone, scan));
         let mut tree = MemoryTree::of([keep.clone(), gone].concat(), params);
-        tree.remove(&mut Matching(|p: &Point| p.1 == scan)).unwrap();
+        tree.remove(&Matching(|p: &Point| p.1 == scan)).unwrap();
         check(&tree, &keep);
     }
 }
@@ -121,7 +121,8 @@ fn a_leafs_virtual_levels_need_the_ancestors_points() {
     let tree = MemoryTree::of(points.clone(), Params { g: 1, leaf_capacity: 2 });
     let mut keys: Vec<Key> = points.iter().map(|p| p.0).collect();
     keys.sort_unstable();
-    let (key, leaf) = tree.nodes().all().iter().find(|(_, n)| n.leaf).expect("there is a leaf");
+    let all = tree.nodes().all();
+    let (key, leaf) = all.iter().find(|(_, n)| n.leaf).expect("there is a leaf");
     let k = Cube::from_node_key(key).unwrap().k() as i8;
     let own: Vec<Key> = leaf.points.iter().map(|p| p.0).collect();
     let right = wins(&keys, 4)[keys.iter().position(|key| *key == own[0]).unwrap()];

@@ -27,7 +27,13 @@ pub(super) struct Inner {
     attributes: Vec<StoredAttribute>,
     index: OnceLock<Arc<NodeIndex>>,
     pages: Pages,
+    #[cfg(test)]
+    reads: std::sync::Mutex<std::collections::BTreeSet<PayloadRead>>,
 }
+
+/// A column of a node's payload: its layer, its node, its slot.
+#[cfg(test)]
+pub type PayloadRead = (u16, crate::lattice::NodeKey, Slot);
 
 /// Where the rows come from.
 #[derive(Debug)]
@@ -178,6 +184,8 @@ impl Snapshot {
         slots: &[Slot],
         cost: &mut ReadCost,
     ) -> Result<Vec<Option<ChunkBytes>>, StoreError> {
+        #[cfg(test)]
+        lock(&self.inner.reads).extend(slots.iter().map(|&slot| (head.layer, head.cube.node_key(), slot)));
         let place = &*self.inner.place;
         let row = |slot: Slot, bytes: u32, cost: &mut ReadCost| {
             let name = RowName { head, part, slot };
@@ -208,6 +216,12 @@ impl Snapshot {
     /// The most bytes of decoded blocks that are kept.
     pub fn kept_block_bytes(&self) -> u64 {
         self.inner.place.caches().block_limit()
+    }
+
+    /// Which payload was read through this snapshot, and through others of its generation and store, since the last call.
+    #[cfg(test)]
+    pub fn take_reads(&self) -> std::collections::BTreeSet<PayloadRead> {
+        std::mem::take(&mut *lock(&self.inner.reads))
     }
 
     /// Named cameras, as JSON, by name.
@@ -295,6 +309,8 @@ impl Inner {
             attributes,
             index: OnceLock::new(),
             pages: Pages::new(limits.node_bytes),
+            #[cfg(test)]
+            reads: Default::default(),
         })
     }
 
@@ -319,6 +335,8 @@ impl Inner {
             attributes,
             index: OnceLock::from(Arc::new(index)),
             pages,
+            #[cfg(test)]
+            reads: Default::default(),
         })
     }
 

@@ -57,7 +57,7 @@ pub(super) fn change(
         tree.remove(&doomed)?;
     }
     if !points.is_empty() {
-        tree.nodes().prefetch(&points)?;
+        tree.nodes().prefetch(&points, ground.params)?;
         tree.insert(points)?;
     }
     finish::finish(ground, writer, layer, &tree)

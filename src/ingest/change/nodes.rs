@@ -5,8 +5,8 @@ use super::Ground;
 use super::point::{Block, Point, ScanOrder};
 use super::pool::Pool;
 use crate::codec::Decoder;
-use crate::lattice::{Cube, Key, LatticeBox, NodeKey};
-use crate::octree::{Nodes, Row, TreePoint};
+use crate::lattice::{Cube, Key, LatticeBox, NodeKey, SortKey};
+use crate::octree::{Nodes, Params, Row, TreePoint};
 use crate::store::model::NodeHead;
 use crate::store::{NodeIndex, NodeIx, Snapshot, decode_part, decode_part_keys};
 use rayon::prelude::*;
@@ -93,13 +93,15 @@ impl<'a> Stored<'a> {
         }
     }
 
-    /// Reads the nodes that will receive at least one of `points`, which ascend, on all threads.
-    pub fn prefetch(&self, points: &[Point<'_>]) -> Result<(), IngestError> {
+    /// Reads, on all threads, nodes that are certain to receive at least one of `points`, which ascend: of two points in
+    /// one of the parent's cells one goes down. Others are read when a point arrives.
+    pub fn prefetch(&self, points: &[Point<'_>], params: Params) -> Result<(), IngestError> {
         let Some(root) = self.index.root(self.layer) else { return Ok(()) };
         let mut nodes = Vec::new();
         let mut open = vec![(root, super::inside(points, self.index.head(root).cube))];
         while let Some((node, points)) = open.pop() {
-            if !points.is_empty() {
+            let cell = params.cell(self.index.head(node).cube.k() + 1);
+            if points.windows(2).any(|pair| pair[0].key().differing_digit(pair[1].key()) < cell) {
                 nodes.push(node);
                 let inside = |child| (child, super::inside(points, self.index.head(child).cube));
                 open.extend(self.index.children(node).map(inside));

@@ -1,14 +1,19 @@
 #!/bin/sh
 # What it costs to add a scan of 200,000 points to stores of growing size, and to take it out again.
 #
-#   sh tools/growth.sh [FOLDER [MILLIONS...]]        (default: ./growth 5 20)
+#   sh tools/growth.sh [FOLDER [MILLIONS...]]        (default: ./growth 5 20; "5 20 80" takes 6 GB of disk)
 #
-# Each site is a generated terrain; the scan is a square of it, so it overlaps as much of the site as it covers. Prints
-# the seconds of the first ingest, of adding and of removing, and the rows of encoded columns that adding wrote.
+# Each site is a generated terrain; the scans are five squares of it, so they overlap as much of the site as they cover.
+# Prints the seconds of the first ingest, the median and the range of the seconds of adding and of removing, and the rows
+# of encoded columns that adding wrote (median). Sites that are there are used again.
+#
+# ESKER: the program to measure, instead of the release build of this tree.
 set -eu
 cd "$(dirname "$0")/.."
-cargo build --release --locked --bin esker
-esker=${CARGO_TARGET_DIR:-target}/release/esker
+if [ -z "${ESKER:-}" ]; then
+    cargo build --release --locked --bin esker
+    ESKER=${CARGO_TARGET_DIR:-target}/release/esker
+fi
 folder=${1:-growth}
 [ $# -gt 0 ] && shift
 [ $# -gt 0 ] || set -- 5 20
@@ -19,20 +24,34 @@ number() {
     sed -n "s/^ *\"$1\": \([0-9.]*\).*/\1/p" | head -n 1
 }
 
+# Median, least and largest of the lines of a file.
+spread() {
+    sort -n "$1" | awk '{ v[NR] = $1 } END { printf "%s (%s to %s)", v[int((NR + 1) / 2)], v[1], v[NR] }'
+}
+
 for millions in "$@"; do
     site=$folder/site-$millions
-    [ -e "$site.las" ] || "$esker" generate terrain --points "${millions}M" -o "$site.las"
-    rm -f "$site.esker"
-    build=$("$esker" ingest "$site.esker" "$site.las" --json | number seconds)
-    side=$(awk "BEGIN { print sqrt(0.2 / $millions) }")
-    # A square with about 200,000 points, off the middle.
-    area=$("$esker" info "$site.esker" | awk -v s="$side" '$1 == "bounds" {
-        split($2, b, ","); w = b[4] - b[1]; h = b[5] - b[2]
-        printf "%f,%f,%f,%f", b[1] + 0.3 * w, b[2] + 0.4 * h, b[1] + (0.3 + s) * w, b[2] + (0.4 + s) * h }')
-    "$esker" query "$site.esker" --box "$area" -o "$folder/scan.las" --force
-    added=$("$esker" ingest "$site.esker" "$folder/scan.las" --json)
-    removed=$("$esker" remove "$site.esker" scan --json)
-    echo "$millions M points: built in $build s; $(echo "$added" | number points) points added in" \
-        "$(echo "$added" | number seconds) s, $(echo "$added" | number chunks_written) rows written;" \
-        "removed in $(echo "$removed" | number seconds) s"
+    [ -e "$site.las" ] || "$ESKER" generate terrain --points "${millions}M" -o "$site.las"
+    if [ ! -e "$site.esker" ]; then
+        "$ESKER" ingest "$site.esker" "$site.las" --json | number seconds > "$site.seconds"
+    fi
+    rm -f "$site.added" "$site.removed" "$site.rows"
+    for place in 0.05,0.15 0.3,0.4 0.45,0.7 0.6,0.2 0.75,0.55; do
+        scan=$site-scan-$place.las
+        if [ ! -e "$scan" ]; then
+            # A square with about 200,000 points.
+            area=$("$ESKER" info "$site.esker" | awk -v s="$(awk "BEGIN { print sqrt(0.2 / $millions) }")" -v place="$place" '
+                $1 == "bounds" {
+                    split($2, b, ","); split(place, p, ","); w = b[4] - b[1]; h = b[5] - b[2]
+                    printf "%f,%f,%f,%f", b[1] + p[1] * w, b[2] + p[2] * h, b[1] + (p[1] + s) * w, b[2] + (p[2] + s) * h
+                }')
+            "$ESKER" query "$site.esker" --box "$area" -o "$scan"
+        fi
+        added=$("$ESKER" ingest "$site.esker" "$scan" --name scan --json)
+        echo "$added" | number seconds >> "$site.added"
+        echo "$added" | number chunks_written >> "$site.rows"
+        "$ESKER" remove "$site.esker" scan --json | number seconds >> "$site.removed"
+    done
+    echo "$millions M points: built in $(cat "$site.seconds") s; 200,000 points added in $(spread "$site.added") s," \
+        "$(spread "$site.rows") rows written; removed in $(spread "$site.removed") s"
 done

@@ -8,8 +8,8 @@ use std::path::PathBuf;
 
 /// Takes scans out of a store, as if they had never been there.
 ///
-/// The space that they took is used again by what comes next, or given back to the file system where it is at the
-/// file's end; `esker compact` gives all of it back. To leave a scan out for a while, `esker hide` is quicker.
+/// The space that they took is used again by what comes next, or given back to the file system where it is more than a
+/// sixteenth of the file; `esker compact` gives all of it back. To leave a scan out for a while, `esker hide` is quicker.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  esker remove site.esker roof\n  esker remove site.esker 3 7 --json")]
 pub(super) struct Arguments {

@@ -33,6 +33,9 @@ const WAIT_FOR_READERS: Duration = Duration::from_millis(600);
 /// Rows that are removed in one transaction.
 const REMOVED_AT_ONCE: usize = 4096;
 
+/// One free page for so many is kept in the file.
+const MOST_FREE: i64 = 16;
+
 /// Pages that one step of the incremental vacuum frees.
 const VACUUM_PAGES: u32 = 4096;
 
@@ -386,7 +389,7 @@ impl Writer {
         Ok(removed)
     }
 
-    /// Gives free pages back to the disk and empties the log; says whether the log is empty.
+    /// Gives many free pages back to the disk and empties the log; says whether the log is empty.
     fn tidy(&mut self) -> bool {
         if self.connection.is_none() {
             return true;
@@ -484,8 +487,14 @@ fn remove_some_garbage(connection: &Connection) -> Result<Option<u64>, RowError>
     Ok(any.then_some(removed as u64))
 }
 
-/// Gives all free pages back, some at a time.
+/// Gives free pages back, some at a time, if they are many: a few are soon used again, and to give them back pages from
+/// the end of the file would be moved into their places.
 fn vacuum(connection: &Connection) -> Result<(), RowError> {
+    let pages: i64 = connection.query_row("PRAGMA page_count", [], |row| row.get(0))?;
+    let free: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
+    if free <= pages / MOST_FREE {
+        return Ok(());
+    }
     loop {
         let free: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
         if free == 0 {

@@ -12,16 +12,28 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// The points of one generation in the box that is asked for, in steps of 0.01, ascending.
+/// Points in steps of 0.01, ascending.
 type Answer = Vec<[i64; 3]>;
+
+/// What one generation holds.
+#[derive(Debug, PartialEq)]
+struct Content {
+    all: Answer,
+    /// In the box that is asked for.
+    inside: Answer,
+}
 
 const LOW: f64 = 0.5;
 const HIGH: f64 = 2.5;
 
-fn inside(las: &TinyLas) -> Answer {
-    let in_box = |v: &i32| (50..250).contains(v);
-    let points = las.positions().into_iter().filter(|p| p.iter().all(in_box));
-    points.map(|p| p.map(i64::from)).collect()
+impl Content {
+    fn of<'l>(files: impl Iterator<Item = &'l TinyLas>) -> Self {
+        let mut all: Answer = files.flat_map(TinyLas::positions).map(|p| p.map(i64::from)).collect();
+        all.sort_unstable();
+        let in_box = |v: &i64| (50..250).contains(v);
+        let inside = all.iter().copied().filter(|p| p.iter().all(in_box)).collect();
+        Self { all, inside }
+    }
 }
 
 /// What the library answers, and for which generation.
@@ -39,10 +51,16 @@ fn ask(store: &Store) -> (u64, Answer, Duration) {
     (snapshot.generation(), points, waited)
 }
 
-/// The same by a process of its own.
-fn ask_process(store: &Path) -> Answer {
+/// What a process of its own answers: for the box, or for a camera that sees the whole site from so near that nothing is
+/// finer than a pixel.
+fn ask_process(store: &Path, view: Option<&Path>) -> Answer {
     let area = format!("{LOW},{LOW},{LOW},{HIGH},{HIGH},{HIGH}");
-    let output = esker(&["query", store.to_str().unwrap(), "--box", &area, "-o", "-", "--format", "csv"]);
+    let mut arguments = vec!["query", store.to_str().unwrap(), "-o", "-", "--format", "csv"];
+    match view {
+        Some(view) => arguments.extend(["--view", view.to_str().unwrap(), "--max-error-px", "1e-9"]),
+        None => arguments.extend(["--box", &area]),
+    }
+    let output = esker(&arguments);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "a reader failed: {stderr}");
     let text = String::from_utf8(output.stdout).unwrap();
@@ -78,12 +96,14 @@ fn readers_see_committed_generations_while_scans_come_and_go() {
     };
     let store = at("s.esker");
     // Answers by generation, written down before the generation is committed.
-    let expected: Mutex<BTreeMap<u64, Answer>> = Mutex::default();
+    let expected: Mutex<BTreeMap<u64, Content>> = Mutex::default();
     let expect = |generation: u64, present: &[usize]| {
-        let mut points: Answer = present.iter().flat_map(|&i| inside(&files[i])).collect();
-        points.sort_unstable();
-        expected.lock().unwrap().insert(generation, points);
+        let content = Content::of(present.iter().map(|&i| &files[i]));
+        expected.lock().unwrap().insert(generation, content);
     };
+    let view = at("view.json");
+    let camera = r#"{"eye":[3,3,40],"target":[3,3,0],"up":[0,1,0],"fov_y_deg":60,"size":[640,480]}"#;
+    fs::write(&view, camera).unwrap();
     expect(1, &[0]);
     ingest(&store, &[at("f0.las")], &options, &()).unwrap();
 
@@ -98,7 +118,8 @@ fn readers_see_committed_generations_while_scans_come_and_go() {
                 let first = ask(&own);
                 while !done.load(Ordering::Relaxed) {
                     let (generation, points, waited) = ask(&own);
-                    assert_eq!(expected.lock().unwrap().get(&generation), Some(&points), "generation {generation}");
+                    let known = expected.lock().unwrap().get(&generation).map(|content| content.inside.clone());
+                    assert_eq!(known, Some(points), "generation {generation}");
                     waits.lock().unwrap().push(waited);
                     asked.fetch_add(1, Ordering::Relaxed);
                 }
@@ -108,11 +129,15 @@ fn readers_see_committed_generations_while_scans_come_and_go() {
                 let all = Query::new().count(&held).unwrap().points;
                 assert_eq!(all, held.scans().iter().map(|s| s.stored).sum::<u64>());
             });
-            scope.spawn(|| {
+        }
+        for view in [None, Some(view.as_path()), None, Some(view.as_path())] {
+            let (done, asked, store, expected) = (&done, &asked, &store, &expected);
+            scope.spawn(move || {
                 while !done.load(Ordering::Relaxed) {
-                    let points = ask_process(&store);
+                    let points = ask_process(store, view);
                     let known = expected.lock().unwrap();
-                    assert!(known.values().any(|e| *e == points), "{} points are no generation's", points.len());
+                    let is = |content: &Content| *if view.is_some() { &content.all } else { &content.inside } == points;
+                    assert!(known.values().any(is), "{} points are no generation's", points.len());
                     asked.fetch_add(1, Ordering::Relaxed);
                 }
             });
@@ -147,4 +172,35 @@ fn readers_see_committed_generations_while_scans_come_and_go() {
     println!("{} answers; 99 of 100 snapshots within {slow:?}", asked.load(Ordering::Relaxed));
     assert!(asked.load(Ordering::Relaxed) > 40, "hardly anybody looked");
     esker_ok(&["verify", store.to_str().unwrap(), "--deep"]);
+}
+
+/// The log of an ingest of 2.9 GB beside a reader that keeps looking: with the sweeps.
+#[test]
+fn a_reader_that_stays_does_not_make_the_log_grow() {
+    if std::env::var_os("ESKER_SWEEP").is_none() {
+        println!("a sweep: set ESKER_SWEEP=1");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    esker_ok(&["generate", "terrain", "--points", "1M", "-o", &path("first.las")]);
+    esker_ok(&["generate", "terrain", "--points", "80M", "--seed", "2", "-o", &path("large.las")]);
+    esker_ok(&["ingest", &path("s.esker"), &path("first.las")]);
+    let own = Store::open(path("s.esker")).unwrap();
+    let held = own.snapshot().unwrap();
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_esker"));
+    let mut ingest = command.args(["ingest", &path("s.esker"), &path("large.las")]).spawn().unwrap();
+    let mut largest = 0;
+    let status = loop {
+        if let Some(status) = ingest.try_wait().unwrap() {
+            break status;
+        }
+        largest = largest.max(fs::metadata(path("s.esker-wal")).map_or(0, |m| m.len()));
+        assert_eq!(Query::new().count(&held).unwrap().points, 1_000_000);
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    assert!(status.success());
+    println!("the log had at most {} MiB", largest >> 20);
+    assert!(largest < 256 << 20, "{} MiB", largest >> 20);
+    assert!(own.changed(&held).unwrap());
 }

@@ -127,7 +127,13 @@ fn first_of_cells<P: TreePoint>(own: &[P], incoming: &[P], above: &[Key], cell: 
     let mut last: Option<Key> = None;
     loop {
         let next = match (own.peek(), incoming.peek()) {
-            (Some(a), Some(b)) => if b < a { incoming.next() } else { own.next() },
+            (Some(a), Some(b)) => {
+                if b < a {
+                    incoming.next()
+                } else {
+                    own.next()
+                }
+            }
             (Some(_), None) => own.next(),
             (None, _) => incoming.next(),
         };

@@ -29,8 +29,7 @@ fn check(tree: &MemoryTree<Point>, points: &[Point]) {
     let cube = |key| Cube::from_node_key(key).unwrap();
     let all = tree.nodes().all();
     for (key, node) in all.iter() {
-        let (k, below) =
-            (cube(key).k(), (0..8).filter_map(|o| all.get(&cube(key).child(o)?.node_key())));
+        let (k, below) = (cube(key).k(), (0..8).filter_map(|o| all.get(&cube(key).child(o)?.node_key())));
         assert_eq!(node.rem, node.points.len() as u64 + below.map(|n| n.rem).sum::<u64>());
         assert_eq!(node.leaf, node.rem <= u64::from(params.leaf_capacity) || k == params.g);
         assert!(node.points.iter().all(|p| cube(key).contains(given::at(p))));

@@ -59,12 +59,7 @@ pub(super) struct Stored<'a> {
 }
 
 impl<'a> Stored<'a> {
-    pub fn new(
-        ground: &Ground<'a>,
-        layer: u16,
-        blocks: &'a Blocks,
-        cancelled: &'a (dyn Fn() -> bool + Sync),
-    ) -> Self {
+    pub fn new(ground: &Ground<'a>, layer: u16, blocks: &'a Blocks, cancelled: &'a (dyn Fn() -> bool + Sync)) -> Self {
         let Ground { snapshot, index, scans, .. } = *ground;
         Self { snapshot, index, layer, scans, blocks, changes: Mutex::default(), cancelled }
     }

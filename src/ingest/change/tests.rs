@@ -83,7 +83,11 @@ fn by_node(reads: BTreeSet<(u16, NodeKey, Slot)>) -> BTreeMap<NodeKey, BTreeSet<
 }
 
 /// Nodes whose chunk rows are the same before and after are those that did not change; how many there are.
-fn unwritten(before: &BTreeMap<NodeKey, Known>, after: &BTreeMap<NodeKey, Known>, touched: &BTreeSet<NodeKey>) -> usize {
+fn unwritten(
+    before: &BTreeMap<NodeKey, Known>,
+    after: &BTreeMap<NodeKey, Known>,
+    touched: &BTreeSet<NodeKey>,
+) -> usize {
     let mut kept = 0;
     for (key, node) in before.iter().filter(|(key, node)| !touched.contains(*key) && node.head.own_points > 0) {
         let now = after.get(key).map(|now| now.head.chunk_base);
@@ -204,11 +208,13 @@ fn a_removed_scan_reads_and_writes_the_nodes_that_lose_points_and_those_that_fil
                 named.insert(*key);
             }
         }
-        let written = |key: &NodeKey| after.get(key).map(|n| n.head.chunk_base) != before.get(key).map(|n| n.head.chunk_base);
+        let written =
+            |key: &NodeKey| after.get(key).map(|n| n.head.chunk_base) != before.get(key).map(|n| n.head.chunk_base);
         for (key, slots) in &reads {
             if !named.contains(key) {
                 // The levels of a leaf's points depend on the positions above it.
-                let over_leaf = after.iter().any(|(k, n)| n.head.leaf && written(k) && cube(key).contains_cube(cube(k)));
+                let over_leaf =
+                    after.iter().any(|(k, n)| n.head.leaf && written(k) && cube(key).contains_cube(cube(k)));
                 let only_positions = slots.iter().eq([&SLOT_POSITION]);
                 assert!(over_leaf && only_positions, "seed {seed}: {:?} was read for nothing", cube(key));
             }

@@ -93,7 +93,8 @@ impl<S: Nodes> Tree<S> {
             self.settle(child, down, &above[run_inside(&above, |k| *k, child)], old)
         };
         if down.len() < SPREAD {
-            return visited.map(settle).collect();
+            let mut visited = visited;
+            return visited.try_for_each(settle);
         }
         visited.collect::<Vec<_>>().into_par_iter().try_for_each(settle)
     }

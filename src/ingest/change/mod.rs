@@ -99,7 +99,7 @@ pub(super) fn touched_by_removal(index: &NodeIndex, layer: u16, scans: &[ScanId]
 }
 
 /// Those of ascending points that lie in a cube.
-fn inside<'p, P: TreePoint>(points: &'p [P], cube: Cube) -> &'p [P] {
+fn inside<P: TreePoint>(points: &[P], cube: Cube) -> &[P] {
     let (first, last) = (cube.first_key(), cube.last_key());
     &points[points.partition_point(|p| p.key() < first)..points.partition_point(|p| p.key() <= last)]
 }

@@ -120,7 +120,7 @@ fn an_added_scan_reads_and_writes_the_nodes_that_receive_points() {
             let store = Store::open(&store_path)?;
             let mut writer = context.writer(&store)?;
             let held = store.snapshot()?;
-            let sources = sources::open(&[patch.clone()], &options(), held.scans(), &())?.sources;
+            let sources = sources::open(std::slice::from_ref(&patch), &options(), held.scans(), &())?.sources;
             let batch = Batch { sources: &sources, measured: &[None], crs: None, replaced: &[], strict: false };
             let mut report = Report::default();
             add(context, &store, &mut writer, &batch, &mut Stages::default(), &mut report)?;
@@ -180,7 +180,6 @@ fn a_removed_scan_reads_and_writes_the_nodes_that_lose_points_and_those_that_fil
             let edit = withdraw(context, &ground, &mut writer, 0, &doomed)?.unwrap();
             let reads = snapshot.take_reads();
             let flip = Flip { scans_removed: doomed, ..joined(snapshot.site(), vec![edit]) };
-            drop(ground);
             drop(snapshot);
             writer.commit(flip)?;
             Ok(by_node(reads))

@@ -260,10 +260,10 @@ impl NewPoints {
         order: &Arc<ScanOrder>,
     ) -> Result<Self, IngestError> {
         let block = |(scratch, gatherer): &mut (LoadScratch<K>, Scratch), bucket: &Bucket| {
-            let Loaded { keys, order: rows_in_order, rows } =
-                load(bucket, bucket.cube, bucket.rows, sources, None, scratch)?;
+            let Loaded { keys, rows } = load(bucket, bucket.cube, bucket.rows, sources, None, scratch)?;
             let mut found = PointColumns::default();
-            gather(sources, rows_in_order, |i| rows.row(i), gatherer, &mut found);
+            let rows_in_order: Vec<u32> = (0..).take(keys.len()).collect();
+            gather(sources, &rows_in_order, rows, gatherer, &mut found);
             let first = bucket.cube.first_key();
             let full = keys.iter().map(|key| key.full(first));
             Ok::<_, IngestError>(Block {

@@ -19,3 +19,5 @@ mod readers;
 #[cfg(feature = "stream")]
 mod streaming;
 mod support;
+#[cfg(feature = "viewer")]
+mod window;

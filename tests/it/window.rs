@@ -1,0 +1,176 @@
+//! The real window, under a virtual display with software Vulkan: a script in place of hands, and what can be seen after.
+//!
+//! Without a display and without Xvfb this fails: the window is part of the product.
+
+use crate::support::esker_ok;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+/// A display for one test; ends with it.
+struct Display {
+    server: Child,
+    name: String,
+}
+
+impl Display {
+    fn start() -> Self {
+        // The server chooses a free number and says which.
+        let mut server = Command::new("Xvfb")
+            .args(["-displayfd", "1", "-screen", "0", "1400x1000x24", "-nolisten", "tcp"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("Xvfb is needed: apt-get install xvfb");
+        let mut line = String::new();
+        BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Self { server, name: format!(":{}", line.trim()) }
+    }
+
+    /// Runs a script in the viewer; the lines that it printed.
+    fn view(&self, folder: &Path, store: &Path, script: &str) -> Vec<serde_json::Value> {
+        let file = folder.join("script.txt");
+        fs::write(&file, script).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_esker"));
+        command.args(["view", "--forget", "--script"]).arg(&file).arg(store).current_dir(folder);
+        command.env("DISPLAY", &self.name).env_remove("WAYLAND_DISPLAY").env("XDG_RUNTIME_DIR", folder);
+        let output = command.output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && !stderr.contains("panicked"), "{}\n{stderr}", output.status);
+        let text = String::from_utf8(output.stdout).unwrap();
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+}
+
+impl Drop for Display {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+fn pixels(path: &Path) -> (u32, u32, Vec<u8>) {
+    let decoder = png::Decoder::new(BufReader::new(fs::File::open(path).unwrap()));
+    let mut reader = decoder.read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    bytes.truncate(info.buffer_size());
+    let channels = bytes.len() / (info.width * info.height) as usize;
+    let rgb = bytes.chunks_exact(channels).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    (info.width, info.height, rgb)
+}
+
+/// A picture of half the size: small enough to be kept, and what a driver decides at edges hardly shows.
+fn halved((width, height, rgb): (u32, u32, Vec<u8>)) -> (u32, u32, Vec<u8>) {
+    let (w, h) = (width as usize / 2, height as usize / 2);
+    let at = |x: usize, y: usize, c: usize| u16::from(rgb[(y * width as usize + x) * 3 + c]);
+    let mean = |x: usize, y: usize, c: usize| {
+        let sum = at(2 * x, 2 * y, c) + at(2 * x + 1, 2 * y, c) + at(2 * x, 2 * y + 1, c) + at(2 * x + 1, 2 * y + 1, c);
+        (sum / 4) as u8
+    };
+    let pixels = (0..h).flat_map(|y| (0..w).map(move |x| (x, y)));
+    let rgb = pixels.flat_map(|(x, y)| [mean(x, y, 0), mean(x, y, 1), mean(x, y, 2)]).collect();
+    (w as u32, h as u32, rgb)
+}
+
+/// The share of pixels that differ by more than a little: fonts and splats' edges are the driver's.
+fn difference(a: &[u8], b: &[u8]) -> f64 {
+    let differs = |(a, b): (&[u8], &[u8])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > 40);
+    let pairs = a.chunks_exact(3).zip(b.chunks_exact(3));
+    pairs.clone().filter(|p| differs((p.0, p.1))).count() as f64 / pairs.len() as f64
+}
+
+#[test]
+fn a_script_uses_every_part_of_the_window() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let text = |name: &str| path(name).to_str().unwrap().to_owned();
+    esker_ok(&["generate", "site", "--points", "150000", "--seed", "1", "-o", &text("scans")]);
+    esker_ok(&["ingest", &text("site.esker"), &text("scans")]);
+    let scans: serde_json::Value = serde_json::from_str(&esker_ok(&["scans", &text("site.esker"), "--json"])).unwrap();
+    let names = serde_json::to_string(&scans).unwrap();
+    let first = names.split("\"name\":\"").nth(1).unwrap().split('"').next().unwrap().to_owned();
+    let display = Display::start();
+    let script = format!(
+        "size 1100 760\nwait complete\nstate\nshot help.png\n\
+         key Esc\nwait complete\nshot start.png\n\
+         # every panel\n\
+         click @quality\nclick @places\nclick @measure\nclick @clip\nclick @point\nclick @statistics\nstate\nshot panels.png\n\
+         click @quality\nclick @places\nclick @clip\nclick @point\nclick @statistics\nwait 50\n\
+         # a scan off and on\n\
+         click @scan.{first}\nwait complete\nstate\nclick @scan.{first}\nwait complete\n\
+         # turn, move, zoom\n\
+         drag left 400 400 480 420\ndrag right 400 400 380 390\npoint 400 400\nwait complete\nwheel 2\nwait complete\nstate\n\
+         # measure\n\
+         key M\nclick 380 400\nwait complete\nclick 380 400\nwait complete\nclick 470 430\nwait complete\nclick 470 430\nwait complete\nstate\nshot measure.png\n\
+         key Esc\n\
+         # bookmark\n\
+         click @places\nwait 50\nclick @bookmark.name\ntext door\nclick @bookmark.save\nwait 1500\nstate\n\
+         # fly and walk\n\
+         down W\nwait 300\nup W\nstate\nkey G\nwait 600\nstate\nkey Esc\n\
+         # colours\n\
+         click @mode\nwait 50\nclick @mode.height\nwait complete\nshot height.png\n\
+         # a picture without panels, and the points of a box\n\
+         key P\nwait 400\nkey F\nwait complete\nclick @clip\nwait 50\nclick @clip.add\nwait 50\nclick @clip.export.1\nwait 1500\nstate\nshot clip.png\n\
+         # another size, another device\n\
+         size 500 400\nwait complete\nstate\nlose device\nwait 300\nwait complete\nstate\nquit\n"
+    );
+    let states = display.view(folder.path(), &path("site.esker"), &script);
+    let [start, panels, off, turned, measured, kept, flown, walked, exported, small, renewed] = states.as_slice()
+    else {
+        panic!("{} states", states.len())
+    };
+    assert!(start["points"].as_u64().unwrap() > 50_000 && start["complete"] == true, "{start}");
+    assert_eq!((&start["size"][0], &start["size"][1], &start["help"]), (&1100.into(), &760.into(), &true.into()));
+    assert_eq!(panels["open"].as_array().unwrap().len(), 8, "{panels}");
+    assert!(off["points"].as_u64() < start["points"].as_u64() && off["hidden_scans"] == 1, "{off}");
+    assert!(turned["hover"].is_array() && turned["eye"] != start["eye"], "{turned}");
+    assert!(measured["measured"].as_u64() >= Some(2) && measured["measured_length"].as_f64() > Some(0.0), "{measured}");
+    assert!(measured["picked"].as_array().unwrap().len() > 4, "{measured}");
+    assert_eq!(kept["bookmarks"], serde_json::json!(["door"]), "{kept}");
+    assert!(flown["mode"] == "Fly" && flown["eye"] != kept["eye"], "{flown}");
+    assert!(walked["mode"] == "Walk" && walked["eye"] != flown["eye"], "{walked}");
+    assert!(exported["clips"] == 1 && path("clip.laz").exists(), "{exported}");
+    assert_eq!((&small["size"][0], &small["size"][1]), (&500.into(), &400.into()), "{small}");
+    assert!(renewed["complete"] == true && renewed["points"].as_u64() > Some(0), "{renewed}");
+    let out = esker_ok(&["query", &text("clip.laz").replace("clip.laz", "site.esker"), "--count"]);
+    assert!(out.trim().parse::<u64>().unwrap() > 100_000);
+    // The bookmark is a view for `render`, too.
+    esker_ok(&["render", &text("site.esker"), "--bookmark", "door", "--size", "64x48", "-o", &text("door.png")]);
+
+    let picture = pixels(&path("site-001.png"));
+    assert_eq!((picture.0, picture.1), (1100, 760));
+    let varied = picture.2.chunks_exact(3).collect::<std::collections::HashSet<_>>().len();
+    assert!(varied > 100, "a picture of {varied} colours");
+    for (shot, kept) in
+        [("start.png", "viewer.png"), ("panels.png", "viewer-panels.png"), ("measure.png", "viewer-measure.png")]
+    {
+        let document = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(kept);
+        let now = halved(pixels(&path(shot)));
+        if std::env::var_os("ESKER_KEEP_PICTURES").is_some() {
+            let rgba = now.2.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+            esker::render::Image { width: now.0, height: now.1, rgba }.write_png(&document, true).unwrap();
+            fs::copy(path(shot), Path::new(env!("CARGO_TARGET_TMPDIR")).join(shot)).unwrap();
+        }
+        let then = pixels(&document);
+        assert_eq!((now.0, now.1), (then.0, then.1), "{kept}");
+        let differs = difference(&now.2, &then.2);
+        println!("{kept}: {:.2} % of the pixels differ", differs * 100.0);
+        assert!(differs < 0.05, "{kept} shows something else: {differs}");
+    }
+}
+
+#[test]
+fn without_a_display_there_is_an_error_and_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    esker_ok(&["generate", "torus", "--points", "1000", "-o", &text("t.las")]);
+    esker_ok(&["ingest", &text("t.esker"), &text("t.las")]);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_esker"));
+    command.args(["view", &text("t.esker")]).env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY");
+    let output = command.env_remove("WAYLAND_SOCKET").output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("there can be no window") && !stderr.contains("panicked"), "{stderr}");
+}

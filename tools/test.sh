@@ -5,7 +5,7 @@
 # ESKER_SWEEP=1 adds the long sweeps (see docs/testing.md).
 set -eu
 cd "$(dirname "$0")/.."
-sh tools/setup.sh
+sh tools/setup.sh tests
 
 # Outside the clone, so that it survives between fresh clones.
 : "${CARGO_TARGET_DIR:=${XDG_CACHE_HOME:-$HOME/.cache}/esker/target}"

@@ -442,11 +442,11 @@ fn what_is_shown_can_change() {
 
         walk.limits.points = 20_000;
         walk.stream.set_limits(walk.limits);
-        // The list of before may be drawn until the new one is there.
+        // The list of before may be drawn until the new one is there, and its blocks stay as long as anybody holds it.
+        walk.last = None;
         for _ in 0..60 {
             tokio::time::sleep(FRAME).await;
         }
-        walk.last = None;
         walk.rest().await;
         walk.assert_fresh(&camera, "a smaller budget");
         assert_eq!(walk.pool.lock().unwrap().blocks.len(), walk.limits.blocks(BLOCK_POINTS) as usize);

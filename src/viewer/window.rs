@@ -70,13 +70,14 @@ pub fn run(options: Options) -> Result<(), ViewerError> {
     let worker = Worker::spawn(options.store.clone(), options.exporter.clone(), wake)?;
     worker.ask(Job::Site);
     let model = Model::new(options.name.clone(), set);
+    let egui = dark_context(!options.script.is_empty());
     let mut viewer = Viewer {
         options,
         proxy,
         worker,
         model,
         open: None,
-        egui: dark_context(),
+        egui,
         started,
         last_frame: started,
         frame_number: 0,
@@ -101,9 +102,13 @@ pub fn run(options: Options) -> Result<(), ViewerError> {
     }
 }
 
-fn dark_context() -> egui::Context {
+/// `steady`: panels open at once, so that a script finds widgets where they were drawn.
+fn dark_context(steady: bool) -> egui::Context {
     let context = egui::Context::default();
     context.set_theme(egui::Theme::Dark);
+    if steady {
+        context.all_styles_mut(|style| style.animation_time = 0.0);
+    }
     context
 }
 
@@ -380,7 +385,7 @@ impl Viewer {
             let window = self.open.take().map(|o| o.window);
             if let Some(window) = window {
                 // The old one thinks that its letters are on the adapter.
-                self.egui = dark_context();
+                self.egui = dark_context(!self.options.script.is_empty());
                 self.attach(window)?;
                 self.model.tell("The graphics device was lost; here is a new one");
             }

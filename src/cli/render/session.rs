@@ -80,12 +80,7 @@ struct Packed {
 
 impl Session {
     /// `starting` finds the adapter meanwhile.
-    pub fn new(
-        parts: ViewParts,
-        coloring: Coloring,
-        asked: Asked,
-        starting: Starting,
-    ) -> Self {
+    pub fn new(parts: ViewParts, coloring: Coloring, asked: Asked, starting: Starting) -> Self {
         let lattice = parts.snapshot().site().lattice.clone();
         let (matching, starting) = (HashMap::new(), Some(starting));
         Self { parts, lattice, coloring, asked, matching, starting, gpu: None }
@@ -221,11 +216,7 @@ impl Asked {
 }
 
 impl Gpu {
-    fn started(
-        starting: Option<Starting>,
-        wanted: &Wanted,
-        capacity: u64,
-    ) -> anyhow::Result<Self> {
+    fn started(starting: Option<Starting>, wanted: &Wanted, capacity: u64) -> anyhow::Result<Self> {
         let starting = starting.context("the adapter is not there")?;
         let renderer = starting.renderer()?;
         // What two frames of the capacity take, the last blocks of parts being half empty; the first picture alone takes

@@ -8,6 +8,7 @@ use crate::geometry::Camera;
 use crate::render::{Canvas, Image, Palette, PickRequest, PoolPoints, RenderOptions, Renderer, View};
 use crate::stream::Limits;
 use crate::stream::gpu::{BLOCK_POINTS, DrawList, PointPool};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use wgpu::CurrentSurfaceTexture as Current;
@@ -241,7 +242,14 @@ impl Gpu {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         let screen =
             egui_wgpu::ScreenDescriptor { size_in_pixels: self.size_px(), pixels_per_point: panels.pixels_per_point };
-        let before = self.egui.update_buffers(&self.device, &self.queue, &mut encoder, &panels.jobs, &screen);
+        // On a device that was lost a moment ago this panics instead of giving an error.
+        let updated = catch_unwind(AssertUnwindSafe(|| {
+            self.egui.update_buffers(&self.device, &self.queue, &mut encoder, &panels.jobs, &screen)
+        }));
+        let Ok(before) = updated else {
+            self.trouble.lost.store(true, Ordering::Release);
+            return;
+        };
         {
             let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("panels"),

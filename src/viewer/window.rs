@@ -381,6 +381,8 @@ impl Viewer {
         // A pause is not a leap.
         self.model.advance(elapsed.as_secs_f64().min(0.1));
         self.ask_for_ground();
+        // The adapter tells of a loss when it is asked, so it is asked before anything is drawn.
+        self.open.iter().for_each(|o| o.gpu.poll());
         if self.open.as_ref().is_some_and(|o| o.gpu.is_lost()) {
             let window = self.open.take().map(|o| o.window);
             if let Some(window) = window {
@@ -392,7 +394,6 @@ impl Viewer {
         }
         let aspect = self.aspect();
         let Some(open) = &mut self.open else { return Ok(()) };
-        open.gpu.poll();
         let size = open.window.inner_size();
         if size.width == 0 || size.height == 0 {
             return Ok(());

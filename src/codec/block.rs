@@ -4,6 +4,7 @@
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
 use super::dictionary;
+use super::joint::{self, Leaders};
 use super::lines;
 use super::numbers::{self, Numbers};
 use super::passes::{BesideBlock, BlockPasses};
@@ -33,11 +34,21 @@ enum Kind {
     Lines,
     /// `least`, `step`; how far the `n` are off what their passes let expect.
     Steady,
+    /// `least`, `step`; how far the `n` are off what other columns let expect.
+    Joint,
 }
 
 impl Kind {
-    const ALL: [Self; 7] =
-        [Self::Constant, Self::Raw, Self::Dictionary, Self::Numbers, Self::Ranked, Self::Lines, Self::Steady];
+    const ALL: [Self; 8] = [
+        Self::Constant,
+        Self::Raw,
+        Self::Dictionary,
+        Self::Numbers,
+        Self::Ranked,
+        Self::Lines,
+        Self::Steady,
+        Self::Joint,
+    ];
 }
 
 /// Below so many bits a value, ranks of values beyond 16 bits are not tried: sorting costs more time than all else.
@@ -132,6 +143,7 @@ pub(super) fn put_block<T: Value>(
     ty: ScalarType,
     block: &[T],
     beside: BesideBlock,
+    leaders: Leaders,
     out: &mut Vec<u8>,
 ) {
     let width = ty.size();
@@ -173,7 +185,7 @@ pub(super) fn put_block<T: Value>(
         {
             return;
         }
-        put_bytes(streams, buffers, most, head, out);
+        put_bytes(streams, buffers, (most, step.size()), leaders, head, out);
     } else {
         let numbers = &mut buffers.values;
         numbers.clear();
@@ -183,7 +195,7 @@ pub(super) fn put_block<T: Value>(
         {
             return;
         }
-        put_wide(streams, buffers, most, times, head, out);
+        put_wide(streams, buffers, (most, step.size()), leaders, times, head, out);
     }
     let plain = out.len() - start;
     if let Some(passes) = passes
@@ -209,41 +221,59 @@ pub(super) fn put_block<T: Value>(
     }
 }
 
-/// Appends the numbers `buffers.bytes`, the greatest of them `most`, after a head.
+/// Appends the numbers `buffers.bytes`, the greatest of them `most`, after a head. A number is `step` in values.
 fn put_bytes(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
-    most: u64,
+    (most, step): (u64, u64),
+    leaders: Leaders,
     head: impl Fn(Kind, &mut Vec<u8>),
     out: &mut Vec<u8>,
 ) {
-    let Buffers { bytes, packed, .. } = buffers;
+    let Buffers { bytes, packed, residuals, joint: known, .. } = buffers;
     if let Some(table) = dictionary::build_bytes(bytes, packed) {
         head(Kind::Dictionary, out);
-        dictionary::put(streams, &table, packed, out);
+        dictionary::put(streams, &table, packed, leaders[0], out);
     } else {
+        if known.is_none_or(|known| !known.fits(step)) {
+            *known = joint::choose(bytes.len(), most, step, leaders, |i| u64::from(bytes[i]));
+        }
+        if let Some(joint) = known.filter(|known| known.fits(step)) {
+            head(Kind::Joint, out);
+            joint::put(streams, bytes, leaders, joint, true, (packed, residuals), out);
+            return;
+        }
         let choice = numbers::choose(bytes.len(), most, |i| u64::from(bytes[i]));
         head(Kind::Numbers, out);
         numbers::put(streams, bytes, packed, choice, out);
     }
 }
 
-/// Appends the numbers `buffers.values`, the greatest of them `most`, after a head.
+/// Appends the numbers `buffers.values`, the greatest of them `most`, after a head. A number is `step` in values.
 fn put_wide(
     streams: &mut StreamWriter,
     buffers: &mut Buffers,
-    most: u64,
+    (most, step): (u64, u64),
+    leaders: Leaders,
     times: Option<&mut BlockPasses>,
     head: impl Fn(Kind, &mut Vec<u8>),
     out: &mut Vec<u8>,
 ) {
-    let Buffers { values, packed, .. } = buffers;
+    let Buffers { values, packed, residuals, joint: known, .. } = buffers;
     if let Some(table) = dictionary::build(values, packed) {
         head(Kind::Dictionary, out);
-        dictionary::put(streams, &table, packed, out);
+        dictionary::put(streams, &table, packed, leaders[0], out);
         return;
     }
     let count = values.len();
+    if known.is_none_or(|known| !known.fits(step)) {
+        *known = joint::choose(count, most, step, leaders, |i| values[i]);
+    }
+    if let Some(joint) = known.filter(|known| most <= u64::from(u16::MAX) && known.fits(step)) {
+        head(Kind::Joint, out);
+        joint::put(streams, values, leaders, joint, false, (packed, residuals), out);
+        return;
+    }
     let wide = most > u64::from(u16::MAX) && ranked::is_sortable(most);
     let start = out.len();
     let (mut lines, mut found, mut sorted) = (0, None, false);
@@ -283,14 +313,20 @@ fn put_wide(
     }
 }
 
+/// Are the values of this block a function of positions and passes too?
+pub(super) fn needs_passes(bytes: &[u8]) -> bool {
+    bytes.first().is_some_and(|kind| [Kind::Lines as u8, Kind::Steady as u8].contains(kind))
+}
+
 /// Appends the `count` values of a block to `out`, or nothing if there is an error. `beside` is where
-/// positions are, and which block of them.
+/// positions are, and which block of them; `leaders` are the values of the columns that this one follows.
 pub(super) fn read_block<T: Value>(
     decoder: &mut Decoder,
     ty: ScalarType,
     bytes: &[u8],
     count: usize,
     beside: Option<(&PositionChunk, usize)>,
+    leaders: Leaders,
     out: &mut Vec<T>,
 ) -> Result<(), CodecError> {
     const KIND: &str = "kind of a block";
@@ -298,7 +334,7 @@ pub(super) fn read_block<T: Value>(
     let mut reader = Reader::new(bytes);
     let code = reader.u8(KIND)?;
     let kind = Kind::ALL.into_iter().find(|k| *k as u8 == code);
-    let limit = Kind::Steady as u64;
+    let limit = Kind::Joint as u64;
     let kind = kind.ok_or(CodecError::Range { place: KIND, found: u64::from(code), limit })?;
     match kind {
         Kind::Constant => {
@@ -332,9 +368,14 @@ pub(super) fn read_block<T: Value>(
     }
     match kind {
         Kind::Dictionary => {
-            dictionary::read(&mut decoder.streams, reader, &mut decoder.bytes, count, &mut decoder.values)?;
+            let Decoder { streams, bytes, values, .. } = decoder;
+            dictionary::read(streams, reader, bytes, count, leaders[0], values)?;
         }
         Kind::Ranked => ranked::read(decoder, reader, count)?,
+        Kind::Joint => {
+            let Decoder { streams, bytes, values, .. } = decoder;
+            joint::read(streams, reader, count, leaders, bytes, values)?;
+        }
         _ => {
             let (positions, block) = beside.ok_or(CodecError::NoPositions)?;
             let passes = positions.passes(decoder, block)?;

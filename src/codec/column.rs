@@ -1,7 +1,9 @@
 //! Chunks of attributes.
 
-use super::block::{put_block, read_block};
+use super::block::{needs_passes, put_block, read_block};
 use super::directory::{Directory, put_head, read_head};
+use super::joint::{Leaders, MAX_LEADERS};
+use super::leaders::Kept;
 use super::morton;
 use super::passes::{Beside, BlockPasses, Passes};
 use super::reader::{Reader, put_uint};
@@ -94,7 +96,53 @@ impl Encoder {
         Ok(())
     }
 
-    fn put_values<T: Value>(&mut self, ty: ScalarType, values: &[T], mut beside: Beside, out: &mut Vec<u8>) {
+    /// The same for a column that follows others of the same points, at most two, of `u8` or `u16`: what is alike in them is
+    /// stored once. It can be decoded only with theirs ([`ColumnChunk::after`]), in the same order.
+    ///
+    /// # Errors
+    ///
+    /// [`CodecError::TooManyPoints`]; `out` is then as it was.
+    pub fn column_after(
+        &mut self,
+        column: &Column,
+        passes: &Passes,
+        leaders: &[&Column],
+        out: &mut Vec<u8>,
+    ) -> Result<(), CodecError> {
+        put_head(CODEC, column.len(), out)?;
+        let mut all = std::mem::take(&mut self.leaders);
+        let mut given = 0;
+        for (values, leader) in all.iter_mut().zip(leaders) {
+            values.clear();
+            match leader {
+                Column::U8(narrow) => values.extend(narrow.iter().map(|v| u16::from(*v))),
+                Column::U16(wide) => values.extend_from_slice(wide),
+                _ => {}
+            }
+            // Others can't be followed, nor what comes after them.
+            if values.len() != column.len() {
+                break;
+            }
+            given += 1;
+        }
+        let slices = std::array::from_fn(|i| (i < given).then_some(&all[i][..]));
+        with_column!(column, values => self.put_after(column.ty(), values, Beside::Passes(passes), slices, out));
+        self.leaders = all;
+        Ok(())
+    }
+
+    fn put_values<T: Value>(&mut self, ty: ScalarType, values: &[T], beside: Beside, out: &mut Vec<u8>) {
+        self.put_after(ty, values, beside, [None; MAX_LEADERS], out);
+    }
+
+    fn put_after<T: Value>(
+        &mut self,
+        ty: ScalarType,
+        values: &[T],
+        mut beside: Beside,
+        leaders: Leaders,
+        out: &mut Vec<u8>,
+    ) {
         if let Some(first) = values.first()
             && is_constant(values)
         {
@@ -105,8 +153,11 @@ impl Encoder {
         out.push(type_code(ty));
         self.blocks.clear();
         self.ends.clear();
-        for (block, values) in values.chunks(BLOCK_POINTS).enumerate() {
-            put_block(&mut self.streams, &mut self.buffers, ty, values, beside.block(block), &mut self.blocks);
+        self.buffers.joint = None;
+        for (block, own) in values.chunks(BLOCK_POINTS).enumerate() {
+            let Self { streams, buffers, blocks, .. } = self;
+            let leaders = leaders.map(|leader| leader.map(|leader| &leader[block_range(block, leader.len())]));
+            put_block(streams, buffers, ty, own, beside.block(block), leaders, blocks);
             self.ends.push(self.blocks.len());
         }
         self.put_blocks(out);
@@ -120,6 +171,9 @@ pub struct ColumnChunk<'a> {
     count: usize,
     content: Content<'a>,
     positions: Option<&'a PositionChunk<'a>>,
+    leaders: Vec<ColumnChunk<'a>>,
+    /// Do others follow this one?
+    leads: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -151,13 +205,27 @@ impl<'a> ColumnChunk<'a> {
             reader.end("bytes after a constant value")?;
             Content::Constant(bits)
         };
-        Ok(Self { ty, count, content, positions: None })
+        Ok(Self { ty, count, content, positions: None, leaders: Vec::new(), leads: false })
     }
 
     /// Says where the positions of the same points are, which some blocks need.
     #[must_use]
     pub fn at(self, positions: &'a PositionChunk<'a>) -> Self {
-        Self { positions: Some(positions), ..self }
+        let leaders = self.leaders.into_iter().map(|leader| leader.at(positions)).collect();
+        Self { positions: Some(positions), leaders, ..self }
+    }
+
+    /// Says which column, of the same points, this one follows; of two the first is said first.
+    #[must_use]
+    pub fn after(mut self, leader: Self) -> Self {
+        self.leaders.push(Self { leads: true, ..leader });
+        self
+    }
+
+    /// Says that others follow this one: a block that is decoded is then kept for theirs.
+    #[must_use]
+    pub fn leading(self) -> Self {
+        Self { leads: true, ..self }
     }
 
     /// The number of values.
@@ -192,17 +260,89 @@ impl<'a> ColumnChunk<'a> {
             return Err(CodecError::Block { block, blocks: self.blocks() });
         }
         let count = block_range(block, self.count).len();
-        match &self.content {
-            Content::Constant(bits) => {
+        match (&self.content, &mut *out) {
+            (Content::Constant(bits), out) => {
                 with_column!(out, values => values.resize(values.len() + count, Value::of_bits(*bits)));
                 Ok(())
             }
-            Content::Blocks(directory) => {
+            (Content::Blocks(_), Column::U8(values)) if self.leads => {
+                let kept = self.take_leader(decoder, block)?;
+                values.extend(kept.values.iter().map(|v| *v as u8));
+                decoder.leaders.put(kept);
+                Ok(())
+            }
+            (Content::Blocks(_), Column::U16(values)) if self.leads => {
+                let kept = self.take_leader(decoder, block)?;
+                values.extend_from_slice(&kept.values);
+                decoder.leaders.put(kept);
+                Ok(())
+            }
+            (Content::Blocks(directory), out) => {
                 let bytes = directory.block(block)?;
-                let beside = self.positions.map(|positions| (positions, block));
-                with_column!(out, values => read_block(decoder, self.ty, bytes, count, beside, values))
+                with_column!(out, values => self.read_block(decoder, block, bytes, values))
             }
         }
+    }
+
+    /// Appends a block that is not of one value for all points of the chunk.
+    fn read_block<T: Value>(
+        &self,
+        decoder: &mut Decoder,
+        block: usize,
+        bytes: &[u8],
+        out: &mut Vec<T>,
+    ) -> Result<(), CodecError> {
+        let count = block_range(block, self.count).len();
+        let beside = self.positions.map(|positions| (positions, block));
+        let mut kept: [Option<Kept>; MAX_LEADERS] = Default::default();
+        // The last one may follow those before it, and then finds them where they are kept.
+        for (kept, leader) in kept.iter_mut().zip(&self.leaders).rev() {
+            *kept = Some(leader.take_leader(decoder, block)?);
+        }
+        let leaders = kept.each_ref().map(|kept| kept.as_ref().map(|kept| &kept.values[..]));
+        let result = read_block(decoder, self.ty, bytes, count, beside, leaders, out);
+        kept.into_iter().flatten().for_each(|kept| decoder.leaders.put(kept));
+        result
+    }
+
+    /// A block of a column that others follow, as it is kept or decoded anew; to be put back.
+    fn take_leader(&self, decoder: &mut Decoder, block: usize) -> Result<Kept, CodecError> {
+        let mut fresh = decoder.leaders.fresh();
+        self.put_key(block, &mut fresh.key)?;
+        if let Some(found) = decoder.leaders.take(&fresh.key) {
+            decoder.leaders.put_spare(fresh);
+            return Ok(found);
+        }
+        let count = block_range(block, self.count).len();
+        match (&self.content, self.ty) {
+            (Content::Constant(bits), ScalarType::U8 | ScalarType::U16) => fresh.values.resize(count, *bits as u16),
+            (Content::Blocks(directory), ScalarType::U16) => {
+                self.read_block(decoder, block, directory.block(block)?, &mut fresh.values)?;
+            }
+            (Content::Blocks(directory), ScalarType::U8) => {
+                let mut narrow: Vec<u8> = Vec::with_capacity(count);
+                self.read_block(decoder, block, directory.block(block)?, &mut narrow)?;
+                fresh.values.extend(narrow.into_iter().map(u16::from));
+            }
+            _ => return Err(CodecError::Type { expected: "u8 or u16", found: self.ty.word() }),
+        }
+        Ok(fresh)
+    }
+
+    /// All that the values of a block are a function of.
+    fn put_key(&self, block: usize, key: &mut Vec<u8>) -> Result<(), CodecError> {
+        let (kind, bytes) = match &self.content {
+            Content::Constant(bits) => (CONSTANT, &bits.to_le_bytes()[..]),
+            Content::Blocks(directory) => (0, directory.block(block)?),
+        };
+        key.push(type_code(self.ty) | kind);
+        key.extend_from_slice(&(block_range(block, self.count).len() as u32).to_le_bytes());
+        key.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
+        key.extend_from_slice(bytes);
+        if let Some(positions) = self.positions.filter(|_| kind == 0 && needs_passes(bytes)) {
+            positions.put_key(block, key)?;
+        }
+        self.leaders.iter().take(MAX_LEADERS).try_for_each(|leader| leader.put_key(block, key))
     }
 
     /// Appends all values.

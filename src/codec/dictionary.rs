@@ -1,12 +1,46 @@
 //! Blocks of few different values: a table of them, ascending, and an index for each point.
 //!
-//! `values - 1 u8`, the first value as a varint and the others as varints of the distance from the one before; then a
-//! stream of indices of 1, 2 or 4 bits, packed lowest first. Several points in one symbol are worth less than a bit each
-//! where one value prevails, which single symbols are not.
+//! `values - 1 u8`, the first value as a varint and the others as varints of the distance from the one before; then
+//! *indices*: how they are stored as a byte, and a stream of indices of 1, 2 or 4 bits, packed lowest first, or coded
+//! symbols. A point is mostly of the class of the one before; how many returns a pulse has hangs on which of them it is.
 
 use super::CodecError;
 use super::reader::{Reader, put_varint};
 use super::stream::{StreamReader, StreamWriter};
+use super::symbols::{FEW_SYMBOLS, MANY_CONTEXTS, run_of};
+
+/// How indices are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    /// A stream, several to a byte.
+    Packed,
+    /// Coded, each in the context of the one before.
+    Before,
+    /// Coded, each in the context of the one before and of what the column that is followed has at the point.
+    Both,
+}
+
+impl Way {
+    const ALL: [Self; 3] = [Self::Packed, Self::Before, Self::Both];
+}
+
+/// One more than the greatest number of a column that is followed, if they are few enough for contexts.
+fn sides(followed: &[u16]) -> Option<usize> {
+    let sides = followed.iter().fold(0, |most, n| most.max(*n)) as usize + 1;
+    (sides <= FEW_SYMBOLS).then_some(sides)
+}
+
+/// The context of each index, below `values`.
+fn fill_contexts(indices: &[u8], values: usize, followed: Option<&[u16]>, contexts: &mut Vec<u8>) {
+    contexts.clear();
+    for run in indices.chunks(run_of(indices.len())) {
+        contexts.push(0);
+        contexts.extend_from_slice(&run[..run.len() - 1]);
+    }
+    if let Some(followed) = followed {
+        contexts.iter_mut().zip(followed).for_each(|(context, side)| *context += *side as u8 * values as u8);
+    }
+}
 
 /// The most values of a table.
 const MAX_VALUES: usize = 16;
@@ -27,8 +61,15 @@ fn index_bits(values: usize) -> u32 {
 pub(super) fn build_bytes(values: &[u8], indices: &mut Vec<u8>) -> Option<Table> {
     // Two maps, since a store that waits for the one before it is slow. Flags, not bits: the place is all there is to find.
     let mut there = [[0_u8; 256]; 2];
-    for pair in values.chunks(2) {
-        there.iter_mut().zip(pair).for_each(|(there, value)| there[usize::from(*value)] = 1);
+    let (first, rest) = values.split_at(values.len().min(256));
+    for values in [first, rest] {
+        for pair in values.chunks(2) {
+            there.iter_mut().zip(pair).for_each(|(there, value)| there[usize::from(*value)] = 1);
+        }
+        // Most have too many soon.
+        if there[0].iter().zip(&there[1]).map(|(a, b)| usize::from(a | b)).sum::<usize>() > MAX_VALUES {
+            return None;
+        }
     }
     let mut rank = [0; 256];
     let mut table = Vec::with_capacity(MAX_VALUES);
@@ -69,21 +110,60 @@ pub(super) fn build(values: &[u64], indices: &mut Vec<u8>) -> Option<Table> {
     Some(table)
 }
 
-/// Appends the table and the indices, which are packed in place.
-pub(super) fn put(streams: &mut StreamWriter, table: &[u64], indices: &mut Vec<u8>, out: &mut Vec<u8>) {
+/// Appends the table and the indices, which may be packed in place. `followed` is what the column that this one follows
+/// has at each point.
+pub(super) fn put(
+    streams: &mut StreamWriter,
+    table: &[u64],
+    indices: &mut Vec<u8>,
+    followed: Option<&[u16]>,
+    out: &mut Vec<u8>,
+) {
     out.push((table.len() - 1) as u8);
     let mut before = 0;
     for &value in table {
         put_varint(value - before, out);
         before = value;
     }
-    put_indices(streams, table.len(), indices, out);
+    put_indices(streams, table.len(), indices, followed, out);
 }
 
-/// Appends the stream of indices below `values`, which are packed in place.
-pub(super) fn put_indices(streams: &mut StreamWriter, values: usize, indices: &mut Vec<u8>, out: &mut Vec<u8>) {
+/// Appends indices below `values`, which may be packed in place.
+pub(super) fn put_indices(
+    streams: &mut StreamWriter,
+    values: usize,
+    indices: &mut Vec<u8>,
+    followed: Option<&[u16]>,
+    out: &mut Vec<u8>,
+) {
     let bits = index_bits(values);
     let per_byte = (8 / bits) as usize;
+    if values <= FEW_SYMBOLS {
+        let mut contexts = std::mem::take(&mut streams.tails);
+        fill_contexts(indices, values, None, &mut contexts);
+        let mut best = streams.coder.count_in(indices, &contexts, values, values);
+        let mut way = Way::Before;
+        // What has one value tells nothing.
+        let followed = followed.and_then(|followed| sides(followed).map(|sides| (followed, sides)));
+        if let Some((followed, sides)) = followed.filter(|(followed, _)| followed.iter().any(|n| *n != followed[0])) {
+            fill_contexts(indices, values, Some(followed), &mut contexts);
+            let both = streams.coder.count_in(indices, &contexts, values, values * sides);
+            if both < best {
+                (best, way) = (both, Way::Both);
+            } else {
+                fill_contexts(indices, values, None, &mut contexts);
+                streams.coder.count_in(indices, &contexts, values, values);
+            }
+        }
+        if best < indices.len().div_ceil(per_byte) {
+            out.push(way as u8);
+            streams.coder.put::<MANY_CONTEXTS>(indices, |i| usize::from(contexts[i]), out);
+            streams.tails = contexts;
+            return;
+        }
+        streams.tails = contexts;
+    }
+    out.push(Way::Packed as u8);
     if per_byte > 1 {
         let packed = indices.len().div_ceil(per_byte);
         indices.resize(packed * per_byte, 0);
@@ -104,9 +184,35 @@ pub(super) fn read_indices(
     mut reader: Reader,
     values: usize,
     count: usize,
+    followed: Option<&[u16]>,
     packed: &mut Vec<u8>,
     mut each: impl FnMut(u8),
 ) -> Result<(), CodecError> {
+    const WAY: &str = "way of indices";
+    let code = reader.u8(WAY)?;
+    let error = CodecError::Range { place: WAY, found: u64::from(code), limit: Way::ALL.len() as u64 - 1 };
+    let way = *Way::ALL.get(usize::from(code)).ok_or(error)?;
+    if way != Way::Packed {
+        if values > FEW_SYMBOLS {
+            return Err(CodecError::Range { place: "symbols", found: values as u64, limit: FEW_SYMBOLS as u64 });
+        }
+        if way == Way::Before {
+            streams.coder.read_in(reader.rest(), count, values, |before, _| usize::from(before), packed)?;
+        } else {
+            let followed = followed.filter(|f| f.len() == count).ok_or(CodecError::NoLeader)?;
+            let (found, limit) = (FEW_SYMBOLS as u64, FEW_SYMBOLS as u64 - 1);
+            let error = CodecError::Range { place: "number that is followed", found, limit };
+            let sides = sides(followed).ok_or(error)?;
+            let context = |before, i: usize| usize::from(followed[i]) * values + usize::from(before);
+            streams.coder.read_in(reader.rest(), count, values * sides, context, packed)?;
+        }
+        let largest = packed.iter().copied().max().unwrap_or(0);
+        if usize::from(largest) >= values {
+            return Err(outside(largest, values));
+        }
+        packed.iter().for_each(|index| each(*index));
+        return Ok(());
+    }
     let bits = index_bits(values);
     let per_byte = (8 / bits) as usize;
     streams.read(&mut reader, count.div_ceil(per_byte), packed)?;
@@ -121,10 +227,13 @@ pub(super) fn read_indices(
         }
     }
     if usize::from(largest) >= values {
-        let limit = values as u64 - 1;
-        return Err(CodecError::Range { place: "index of a value", found: u64::from(largest), limit });
+        return Err(outside(largest, values));
     }
     Ok(())
+}
+
+fn outside(index: u8, values: usize) -> CodecError {
+    CodecError::Range { place: "index of a value", found: u64::from(index), limit: values as u64 - 1 }
 }
 
 /// Packs `N` indices into each byte, from the first on.
@@ -141,6 +250,7 @@ pub(super) fn read(
     mut reader: Reader,
     indices: &mut Vec<u8>,
     count: usize,
+    followed: Option<&[u16]>,
     out: &mut Vec<u64>,
 ) -> Result<(), CodecError> {
     const TABLE: &str = "table of values";
@@ -158,7 +268,7 @@ pub(super) fn read(
     }
     out.clear();
     // A table has at most 16 values, and their indices at most 4 bits.
-    read_indices(streams, reader, len, count, indices, |index| out.push(table[usize::from(index)]))?;
+    read_indices(streams, reader, len, count, followed, indices, |index| out.push(table[usize::from(index)]))?;
     out.truncate(count);
     Ok(())
 }
@@ -177,6 +287,7 @@ mod tests {
             ],
             picks in prop::collection::vec(any::<prop::sample::Index>(), 1..600),
             few in 1_usize..20,
+            sides in 1_u16..20,
         ) {
             let table = &table[..few.min(table.len())];
             let values: Vec<_> = picks.iter().map(|i| *i.get(table)).collect();
@@ -196,9 +307,25 @@ mod tests {
                 prop_assert_eq!(&same, &indices);
             }
             let mut bytes = Vec::new();
-            put(&mut StreamWriter::default(), &found, &mut indices, &mut bytes);
+            // Another column that tells much, and one that tells nothing.
+            for noise in [0, 7] {
+                let followed: Vec<_> = indices.iter().zip(0..).map(|(v, i)| (u16::from(*v) + noise * i) % sides).collect();
+                let (mut bytes, mut same) = (Vec::new(), indices.clone());
+                put(&mut StreamWriter::default(), &found, &mut same, Some(&followed), &mut bytes);
+                let (mut streams, mut back) = (StreamReader::default(), Vec::new());
+                let mut read = |followed, back: &mut _| {
+                    read(&mut streams, Reader::new(&bytes), &mut same, values.len(), followed, back)
+                };
+                read(Some(&followed), &mut back).unwrap();
+                prop_assert_eq!(&back, &values);
+                if let Err(error) = read(None, &mut back) {
+                    prop_assert_eq!(error, CodecError::NoLeader);
+                }
+            }
+            let mut bytes = Vec::new();
+            put(&mut StreamWriter::default(), &found, &mut indices, None, &mut bytes);
             let mut back = Vec::new();
-            read(&mut StreamReader::default(), Reader::new(&bytes), &mut indices, values.len(), &mut back).unwrap();
+            read(&mut StreamReader::default(), Reader::new(&bytes), &mut indices, values.len(), None, &mut back).unwrap();
             prop_assert_eq!(back, values);
         }
     }

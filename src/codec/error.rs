@@ -57,6 +57,9 @@ pub enum CodecError {
     /// Values that follow from positions, which were not given.
     #[error("the positions are needed to decode these values")]
     NoPositions,
+    /// Values that follow those of another column, which was not given.
+    #[error("the column that these values follow is needed to decode them")]
+    NoLeader,
     /// A number that is out of its range.
     #[error("{place}: {found} is beyond {limit}")]
     Range {

@@ -4,8 +4,8 @@
 //! directory at its head says where each block lies, so a block decodes without the others. `docs/format-codec.md` has
 //! every byte.
 //!
-//! What is stored of a value is split in two: a *symbol* (a coarse logarithm, one byte) that zstd's entropy coder
-//! shortens, and the bits below it, which are sensor noise and are packed as they are ([`residual`]). Positions send
+//! What is stored of a value is split in two: a *symbol* (a coarse logarithm, one byte) that an entropy coder
+//! shortens ([`symbols`]), and the bits below it, which are sensor noise and are packed as they are ([`residual`]). Positions send
 //! the differences of sorted Morton keys through it, columns what remains of a value after the transform that is
 //! estimated cheapest.
 //!
@@ -18,6 +18,8 @@ mod column;
 mod dictionary;
 mod directory;
 mod error;
+mod joint;
+mod leaders;
 mod lines;
 mod morton;
 mod numbers;
@@ -29,6 +31,7 @@ mod residual;
 mod scratch;
 mod steady;
 mod stream;
+mod symbols;
 #[cfg(test)]
 mod tests;
 mod value;

@@ -13,7 +13,7 @@ use super::{BLOCK_POINTS, CodecError};
 enum Way {
     /// A stream of bytes, one a number.
     Bytes,
-    /// The same of differences, modulo 256.
+    /// The same of differences modulo 256, as zigzags of a byte.
     ByteDifferences,
     /// Residuals.
     Residuals,
@@ -38,6 +38,18 @@ pub(super) fn zigzag(difference: u64) -> u64 {
 #[inline]
 pub(super) fn unzigzag(residual: u64) -> u64 {
     (residual >> 1) ^ (residual & 1).wrapping_neg()
+}
+
+/// The same for differences modulo 256.
+#[inline]
+pub(super) fn zigzag_byte(difference: u8) -> u8 {
+    difference << 1 ^ (difference as i8 >> 7) as u8
+}
+
+/// The reverse of [`zigzag_byte`].
+#[inline]
+pub(super) fn unzigzag_byte(residual: u8) -> u8 {
+    residual >> 1 ^ (residual & 1).wrapping_neg()
 }
 
 /// Bits of `most` and of the zigzags of differences between numbers up to it.
@@ -119,7 +131,7 @@ pub(super) fn put<N: Copy + Into<u64>>(
         }
         Way::ByteDifferences => {
             bytes.clear();
-            bytes.extend(numbers.iter().map(|n| difference(n) as u8));
+            bytes.extend(numbers.iter().map(|n| zigzag_byte(difference(n) as u8)));
             streams.put(bytes, out);
         }
         Way::Residuals => {
@@ -169,7 +181,7 @@ pub(super) fn read<'a>(
             if way == Way::ByteDifferences {
                 let mut before = 0_u8;
                 for byte in bytes.iter_mut() {
-                    before = before.wrapping_add(*byte);
+                    before = before.wrapping_add(unzigzag_byte(*byte));
                     *byte = before;
                 }
             }

@@ -1,7 +1,7 @@
 //! Which pass of a scanner each point belongs to: found from times ([`lines`](super::lines)), stored beside the positions,
 //! and what everything that is steady within a pass is encoded by ([`steady`](super::steady)).
 //!
-//! Per block: `passes u8`; with more than one a stream of indices, as of a dictionary. Nothing at all where none are known.
+//! Per block: `passes u8`; with more than one indices, as of a dictionary. Nothing at all where none are known.
 
 use super::CodecError;
 use super::dictionary::{put_indices, read_indices};
@@ -36,7 +36,7 @@ impl BlockPasses {
         if self.count > 1 {
             indices.clear();
             indices.extend_from_slice(&self.of_point);
-            put_indices(streams, self.count, indices, out);
+            put_indices(streams, self.count, indices, None, out);
         }
     }
 }
@@ -59,7 +59,7 @@ pub(super) fn read(
     if passes == 1 {
         reader.end(PASSES)?;
     } else {
-        read_indices(streams, reader, passes, count, packed, |pass| out.push(pass))?;
+        read_indices(streams, reader, passes, count, None, packed, |pass| out.push(pass))?;
     }
     out.resize(count, 0);
     Ok(passes)

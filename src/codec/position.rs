@@ -177,7 +177,7 @@ impl<'a> PositionChunk<'a> {
         let (bytes, count) = self.block(block)?;
         if self.cube.k() <= LOW_DIGITS {
             self.read_narrow(decoder, bytes, count)?;
-            morton::append_points(self.cube, &decoder.values, out);
+            morton::append_points(self.cube, &decoder.keys.keys, out);
             Ok(())
         } else {
             let start = out.len();
@@ -216,7 +216,7 @@ impl<'a> PositionChunk<'a> {
         if self.cube.k() <= LOW_DIGITS {
             self.read_narrow(decoder, bytes, count)?;
             let prefix = self.cube.first_key();
-            out.extend(decoder.values.iter().map(|key| K::from_halves(prefix.high, prefix.low | key)));
+            out.extend(decoder.keys.keys.iter().map(|key| K::from_halves(prefix.high, prefix.low | key)));
             Ok(())
         } else {
             let start = out.len();
@@ -247,7 +247,7 @@ impl<'a> PositionChunk<'a> {
             return Err(CodecError::Range { place: "side of a cube with lines", found, limit });
         }
         self.read_narrow(decoder, bytes, count)?;
-        morton::places(self.cube, decoder.values.iter().copied(), &mut decoder.places);
+        morton::places(self.cube, decoder.keys.keys.iter().copied(), &mut decoder.places);
         Ok(())
     }
 
@@ -258,6 +258,17 @@ impl<'a> PositionChunk<'a> {
         passes::read(&mut decoder.streams, bytes, count, &mut decoder.bytes, &mut decoder.passes)
     }
 
+    /// Appends all that positions and passes of one block are a function of.
+    pub(super) fn put_key(&self, block: usize, key: &mut Vec<u8>) -> Result<(), CodecError> {
+        key.push(self.cube.k());
+        for index in [block, self.bounds.len() + block] {
+            let bytes = self.directory.block(index)?;
+            key.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
+            key.extend_from_slice(bytes);
+        }
+        Ok(())
+    }
+
     fn block(&self, block: usize) -> Result<(&'a [u8], usize), CodecError> {
         if block >= self.bounds.len() {
             return Err(CodecError::Block { block, blocks: self.bounds.len() });
@@ -265,27 +276,38 @@ impl<'a> PositionChunk<'a> {
         Ok((self.directory.block(block)?, block_range(block, self.count).len()))
     }
 
-    /// Reads a block's keys, relative to the cube's first, into `decoder.values`.
+    /// Reads a block's keys, relative to the cube's first, into `decoder.keys`, unless they are there.
     fn read_narrow(&self, decoder: &mut Decoder, bytes: &[u8], count: usize) -> Result<(), CodecError> {
         let bits = 3 * u32::from(self.cube.k());
         let mut reader = Reader::new(bytes);
         let mut key = reader.uint(key_bytes(self.cube), FIRST_KEY)?;
+        let Decoder { streams, keys: kept, .. } = decoder;
+        if kept.keys.len() == count && kept.bits == bits && kept.of == bytes {
+            return Ok(());
+        }
+        kept.of.clear();
+        kept.of.extend_from_slice(bytes);
+        kept.bits = bits;
+        let keys = &mut kept.keys;
         let mut all = key;
-        let values = &mut decoder.values;
-        read_residuals(&mut decoder.streams, reader, count - 1, bits, values)?;
+        if let Err(error) = read_residuals(streams, reader, count - 1, bits, keys) {
+            keys.clear();
+            return Err(error);
+        }
         // Keys and differences have at most 63 bits, so the first sum that leaves the cube shows before any overflows;
         // those after it may wrap.
-        for value in values.iter_mut() {
+        for value in keys.iter_mut() {
             let next = key.wrapping_add(*value);
             *value = key;
             key = next;
             all |= key;
         }
-        values.push(key);
+        keys.push(key);
         if all >> bits == 0 {
             Ok(())
         } else {
-            let index = values.iter().position(|key| key >> bits != 0).unwrap_or(0);
+            let index = keys.iter().position(|key| key >> bits != 0).unwrap_or(0);
+            keys.clear();
             Err(CodecError::Key { index })
         }
     }

@@ -55,7 +55,7 @@ fn join(symbol: u8, mantissa: u32) -> (u64, u32) {
 }
 
 /// The largest `m` for which all values of `bits` bits have a symbol of one byte.
-fn finest_mantissa(bits: u32) -> u32 {
+pub(super) fn finest_mantissa(bits: u32) -> u32 {
     (0..=MAX_MANTISSA).rev().find(|m| (bits.saturating_sub(*m) + 1) << m <= 256).unwrap_or(0)
 }
 

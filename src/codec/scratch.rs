@@ -1,5 +1,7 @@
 //! What encoding and decoding keep from one chunk to the next: zstd's contexts and buffers of a block's size.
 
+use super::joint::{Choice, MAX_LEADERS};
+use super::leaders::KeptLeaders;
 use super::lines::{LineBuffers, LineScratch, Place};
 use super::ranked::RankBuffers;
 use super::steady::SteadyBuffers;
@@ -14,6 +16,8 @@ pub struct Encoder {
     pub(super) blocks: Vec<u8>,
     /// The blocks' ends in `blocks`.
     pub(super) ends: Vec<usize>,
+    /// The values of columns that a column follows.
+    pub(super) leaders: [Vec<u16>; MAX_LEADERS],
 }
 
 /// The values of one block on their way into bytes.
@@ -35,6 +39,8 @@ pub(super) struct Buffers {
     pub(super) other: Vec<u8>,
     /// Symbols.
     pub(super) packed: Vec<u8>,
+    /// How the chunk's blocks follow other columns, once it is known.
+    pub(super) joint: Option<Choice>,
 }
 
 /// Decodes chunks, one at a time; keep one per thread.
@@ -55,6 +61,21 @@ pub struct Decoder {
     pub(super) passes: Vec<u8>,
     /// For lines.
     pub(super) lines: LineScratch,
+    /// Columns that others follow.
+    pub(super) leaders: KeptLeaders,
+    /// The keys of the last block of positions that was decoded.
+    pub(super) keys: KeptKeys,
+}
+
+/// The keys of a block of positions and what they are a function of, since times need places again.
+#[derive(Debug, Default)]
+pub(super) struct KeptKeys {
+    /// The bytes of the block.
+    pub(super) of: Vec<u8>,
+    /// The bits that a key may have.
+    pub(super) bits: u32,
+    /// Relative to the cube's first key; none if the block is damaged.
+    pub(super) keys: Vec<u64>,
 }
 
 impl Encoder {

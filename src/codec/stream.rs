@@ -1,10 +1,11 @@
-//! A stream of bytes inside a block: as it is, or as a zstd frame where that is shorter.
+//! A stream of bytes inside a block: as it is, or as symbols of an entropy coder, or as a zstd frame, whichever is shortest.
 //!
-//! `varint(length << 1 | compressed)`, then that many bytes. A frame is kept without its magic number, checksum and
+//! `varint(length << 2 | packing)`, then that many bytes. A frame is kept without its magic number, checksum and
 //! dictionary id; its content's length is known from the block's count.
 
 use super::CodecError;
 use super::reader::{Reader, put_varint};
+use super::symbols::{ONE_CONTEXT, SymbolReader, SymbolWriter};
 use std::fmt;
 use zstd::zstd_safe::{CCtx, DCtx, compress_bound, get_error_name};
 
@@ -14,8 +15,53 @@ const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// Higher levels look for longer matches, of which there are few, and cost more than they save.
 const LEVEL: i32 = 1;
 
-/// Below this a frame never pays.
+/// Below this nothing pays.
 const MIN_BYTES: usize = 24;
+
+/// So many bytes tell if there are repetitions, which zstd finds and the entropy coder does not: noise has none.
+const PROBE_BYTES: usize = 512;
+
+/// Streams of more bits a symbol become frames.
+const FRAME_BITS: f32 = 4.0;
+
+/// Every so many bytes are looked at to tell.
+const FRAME_STRIDE: usize = 8;
+
+/// Has a symbol many bits of information?
+fn many_bits(bytes: &[u8]) -> bool {
+    let mut counts = [0_u16; 256];
+    bytes.iter().step_by(FRAME_STRIDE).for_each(|byte| counts[usize::from(*byte)] += 1);
+    let total = bytes.len().div_ceil(FRAME_STRIDE) as f32;
+    let bits: f32 = counts.iter().filter(|n| **n > 0).map(|n| f32::from(*n) * (total / f32::from(*n)).log2()).sum();
+    bits > FRAME_BITS * total
+}
+
+/// Is half of the first bytes where a run of eight was seen before?
+fn repeats(bytes: &[u8]) -> bool {
+    let mut seen = [0_u16; 256];
+    let (mut hits, mut looked) = (0, 0);
+    let eight = |at: usize| bytes[at..at + 8].iter().fold(0, |word, byte| word << 8 | u64::from(*byte));
+    for at in 1..bytes.len().min(PROBE_BYTES).saturating_sub(7) {
+        let word = eight(at);
+        let place = &mut seen[(word.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 56) as usize];
+        hits += usize::from(eight(usize::from(*place)) == word);
+        looked += 1;
+        *place = at as u16;
+    }
+    2 * hits > looked
+}
+
+/// How the bytes of a stream are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Packing {
+    Plain,
+    Frame,
+    Symbols,
+}
+
+impl Packing {
+    const ALL: [Self; 3] = [Self::Plain, Self::Frame, Self::Symbols];
+}
 
 const PLACE: &str = "stream of symbols";
 
@@ -23,6 +69,7 @@ const PLACE: &str = "stream of symbols";
 pub(super) struct StreamWriter {
     zstd: CCtx<'static>,
     frame: Vec<u8>,
+    pub(super) coder: SymbolWriter,
     /// Symbols of one block, for the use of callers.
     pub(super) symbols: Vec<u8>,
     /// Their open bits, for the use of callers.
@@ -33,6 +80,7 @@ pub(super) struct StreamWriter {
 pub(super) struct StreamReader {
     zstd: DCtx<'static>,
     frame: Vec<u8>,
+    pub(super) coder: SymbolReader,
     /// Symbols of one block, for the use of callers.
     pub(super) symbols: Vec<u8>,
     /// Packed bits with room behind them, for the use of callers.
@@ -40,44 +88,72 @@ pub(super) struct StreamReader {
 }
 
 impl StreamWriter {
-    /// Appends `bytes` to `out`.
+    /// Appends at most 4,096 `bytes` to `out`.
     pub(super) fn put(&mut self, bytes: &[u8], out: &mut Vec<u8>) {
-        if bytes.len() >= MIN_BYTES {
-            self.frame.clear();
-            self.frame.reserve(compress_bound(bytes.len()));
-            // If zstd fails the bytes are stored as they are.
-            if self.zstd.compress(&mut self.frame, bytes, LEVEL).is_ok()
-                && let Some(frame) = self.frame.strip_prefix(&MAGIC)
-                && frame.len() < bytes.len()
+        let len = bytes.len();
+        if len >= MIN_BYTES {
+            // Many bits a symbol: whole bits cost next to nothing more, and zstd's tables decode faster.
+            if many_bits(bytes)
+                && let Some(frame) = self.compress(bytes)
+                && frame < len
             {
-                put_varint((frame.len() as u64) << 1 | 1, out);
-                out.extend_from_slice(frame);
-                return;
+                return put_packed(Packing::Frame, &self.frame[MAGIC.len()..], out);
+            }
+            let coded = self.coder.count(bytes);
+            if (len <= PROBE_BYTES || repeats(bytes))
+                && let Some(frame) = self.compress(bytes)
+                && frame < coded.min(len)
+            {
+                return put_packed(Packing::Frame, &self.frame[MAGIC.len()..], out);
+            }
+            if coded < len {
+                self.frame.clear();
+                self.coder.put::<ONE_CONTEXT>(bytes, |_| 0, &mut self.frame);
+                // What was estimated may be a little more.
+                if self.frame.len() < len {
+                    return put_packed(Packing::Symbols, &self.frame, out);
+                }
             }
         }
-        put_varint((bytes.len() as u64) << 1, out);
-        out.extend_from_slice(bytes);
+        put_packed(Packing::Plain, bytes, out);
     }
+
+    /// Makes a frame and gives its length without the magic number; none if zstd fails.
+    fn compress(&mut self, bytes: &[u8]) -> Option<usize> {
+        self.frame.clear();
+        self.frame.reserve(compress_bound(bytes.len()));
+        self.zstd.compress(&mut self.frame, bytes, LEVEL).ok()?;
+        self.frame.strip_prefix(&MAGIC).map(<[u8]>::len)
+    }
+}
+
+fn put_packed(packing: Packing, bytes: &[u8], out: &mut Vec<u8>) {
+    put_varint((bytes.len() as u64) << 2 | packing as u64, out);
+    out.extend_from_slice(bytes);
 }
 
 impl StreamReader {
     /// Reads a stream of exactly `length` bytes into `out`, whose content is replaced.
     pub(super) fn read(&mut self, reader: &mut Reader, length: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
         let head = reader.varint(PLACE)?;
-        let stored = usize::try_from(head >> 1).unwrap_or(usize::MAX);
+        let stored = usize::try_from(head >> 2).unwrap_or(usize::MAX);
         let bytes = reader.take(stored, PLACE)?;
+        let limit = Packing::ALL.len() as u64 - 1;
+        let error = CodecError::Range { place: "packing of a stream", found: head & 3, limit };
         out.clear();
-        if head & 1 == 0 {
-            out.extend_from_slice(bytes);
-        } else {
-            self.frame.clear();
-            self.frame.extend_from_slice(&MAGIC);
-            self.frame.extend_from_slice(bytes);
-            out.reserve(length);
-            // zstd may write to the whole capacity; more than `length` is an error below.
-            self.zstd
-                .decompress(out, &self.frame)
-                .map_err(|code| CodecError::Zstd { place: PLACE, message: get_error_name(code) })?;
+        match *Packing::ALL.get((head & 3) as usize).ok_or(error)? {
+            Packing::Plain => out.extend_from_slice(bytes),
+            Packing::Symbols => self.coder.read(bytes, length, out)?,
+            Packing::Frame => {
+                self.frame.clear();
+                self.frame.extend_from_slice(&MAGIC);
+                self.frame.extend_from_slice(bytes);
+                out.reserve(length);
+                // zstd may write to the whole capacity; more than `length` is an error below.
+                self.zstd
+                    .decompress(out, &self.frame)
+                    .map_err(|code| CodecError::Zstd { place: PLACE, message: get_error_name(code) })?;
+            }
         }
         if out.len() != length {
             return Err(CodecError::Length { place: PLACE, expected: length, found: out.len() });
@@ -88,13 +164,25 @@ impl StreamReader {
 
 impl Default for StreamWriter {
     fn default() -> Self {
-        Self { zstd: CCtx::create(), frame: Vec::new(), symbols: Vec::new(), tails: Vec::new() }
+        Self {
+            zstd: CCtx::create(),
+            frame: Vec::new(),
+            coder: SymbolWriter::default(),
+            symbols: Vec::new(),
+            tails: Vec::new(),
+        }
     }
 }
 
 impl Default for StreamReader {
     fn default() -> Self {
-        Self { zstd: DCtx::create(), frame: Vec::new(), symbols: Vec::new(), bits: Vec::new() }
+        Self {
+            zstd: DCtx::create(),
+            frame: Vec::new(),
+            coder: SymbolReader::default(),
+            symbols: Vec::new(),
+            bits: Vec::new(),
+        }
     }
 }
 

@@ -315,3 +315,110 @@ fn what_follows_from_positions_takes_little_and_asks_for_them() {
     assert_eq!(chunk.decode(&mut Decoder::new(), &mut column), Err(CodecError::NoPositions));
     assert_eq!(column.len(), 0);
 }
+
+/// Colours that go together, and returns: a column, and the places of those that it follows.
+fn followers(count: usize, noise: u64, deep: bool) -> Vec<(Column, Vec<usize>)> {
+    let mut state = noise | 1;
+    let mut next = |n: u64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 33) % (n + 1)
+    };
+    let (mut red, mut green, mut blue) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut which, mut all) = (Vec::new(), Vec::new());
+    let (mut light, scale) = (100, if deep { 256 } else { 1 });
+    for _ in 0..count {
+        light = (light + next(20)).saturating_sub(next(20)).min(200);
+        let (r, g) = (light + next(3), light * 7 / 8 + next(noise % 6));
+        red.push((r * scale) as u16);
+        green.push((g * scale) as u16);
+        blue.push(((r + g) / 2 * scale + next(1)) as u16);
+        all.push(1 + next(3) as u8 * next(1) as u8);
+        which.push(1 + next(u64::from(all[all.len() - 1]) - 1) as u8);
+    }
+    vec![
+        (Column::U16(red), vec![]),
+        (Column::U16(green), vec![0]),
+        (Column::U16(blue), vec![0, 1]),
+        (Column::U8(which), vec![]),
+        (Column::U8(all), vec![3]),
+    ]
+}
+
+fn with_leaders<'a>(
+    chunks: &'a [Vec<u8>],
+    columns: &[(Column, Vec<usize>)],
+    i: usize,
+) -> Result<ColumnChunk<'a>, CodecError> {
+    let (column, leaders) = &columns[i];
+    let chunk = ColumnChunk::parse(&chunks[i], column.ty(), column.len())?;
+    let chunk = if [0, 1, 3].contains(&i) { chunk.leading() } else { chunk };
+    leaders.iter().try_fold(chunk, |chunk, leader| Ok(chunk.after(with_leaders(chunks, columns, *leader)?)))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    #[test]
+    fn columns_that_follow_others_come_back_in_any_order_and_damage_is_an_error_or_values(
+        count in prop_oneof![1_usize..300, 4090_usize..9000],
+        (noise, deep) in any::<(u64, bool)>(),
+        order in Just(vec![0_usize, 1, 2, 3, 4]).prop_shuffle(),
+        (hit, damage, to) in (0_usize..5, any::<prop::sample::Index>(), any::<u8>()),
+    ) {
+        let columns = followers(count, noise, deep);
+        let mut encoder = Encoder::new();
+        let mut chunks: Vec<Vec<u8>> = Vec::new();
+        for (column, leaders) in &columns {
+            let leaders: Vec<_> = leaders.iter().map(|i| &columns[*i].0).collect();
+            let mut out = Vec::new();
+            encoder.column_after(column, &Passes::default(), &leaders, &mut out).unwrap();
+            chunks.push(out);
+        }
+        let mut decoder = Decoder::new();
+        let read = |decoder: &mut Decoder, chunks: &[Vec<u8>]| {
+            let parsed = order.iter().map(|i| with_leaders(chunks, &columns, *i)).collect::<Result<Vec<_>, _>>()?;
+            let mut back: Vec<_> = order.iter().map(|i| Column::zeros(columns[*i].0.ty(), 0)).collect();
+            for block in 0..block_count(count) {
+                for (chunk, back) in parsed.iter().zip(&mut back) {
+                    chunk.decode_block(decoder, block, back)?;
+                }
+            }
+            Ok::<_, CodecError>(back)
+        };
+        for (back, i) in read(&mut decoder, &chunks).unwrap().iter().zip(&order) {
+            prop_assert_eq!(back, &columns[*i].0);
+        }
+        for (i, (column, _)) in columns.iter().enumerate() {
+            let mut back = Column::zeros(column.ty(), 0);
+            with_leaders(&chunks, &columns, i).unwrap().decode(&mut decoder, &mut back).unwrap();
+            prop_assert_eq!(&back, column);
+        }
+        // What is kept of damaged bytes is not taken for that of whole ones.
+        let mut damaged = chunks.clone();
+        let at = damage.index(damaged[hit].len());
+        damaged[hit][at] = to;
+        if let Ok(found) = read(&mut decoder, &damaged) {
+            prop_assert!(found.iter().all(|column| column.len() == count));
+        }
+        for (back, i) in read(&mut decoder, &chunks).unwrap().iter().zip(&order) {
+            prop_assert_eq!(back, &columns[*i].0);
+        }
+    }
+}
+
+#[test]
+fn what_follows_another_column_takes_little_and_asks_for_it() {
+    let columns = followers(8000, 1, true);
+    let mut encoder = Encoder::new();
+    for (followed, following) in [(0, 1), (3, 4)] {
+        let (leader, column) = (&columns[followed].0, &columns[following].0);
+        let (mut chunk, mut alone) = (Vec::new(), Vec::new());
+        encoder.column_after(column, &Passes::default(), &[leader], &mut chunk).unwrap();
+        encoder.column(column, &mut alone).unwrap();
+        assert!(10 * chunk.len() < 9 * alone.len(), "{} bytes, alone {}", chunk.len(), alone.len());
+        let mut back = Column::zeros(column.ty(), 0);
+        let chunk = ColumnChunk::parse(&chunk, column.ty(), column.len()).unwrap();
+        assert_eq!(chunk.decode(&mut Decoder::new(), &mut back), Err(CodecError::NoLeader));
+        assert_eq!(back.len(), 0);
+    }
+}

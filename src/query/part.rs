@@ -10,7 +10,7 @@ use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
 use crate::points::{Batch, Column, Positions, ScalarType};
 use crate::store::model::{SLOT_POSITION, SLOT_SCAN, Slot};
-use crate::store::{CachedBlock, ChunkBytes, Node, NodeIx, ReadCost};
+use crate::store::{CachedBlock, ChunkBytes, Node, NodeIx, ReadCost, follow};
 use std::cell::RefCell;
 use std::sync::Arc;
 
@@ -61,7 +61,15 @@ impl<'a> Part<'a> {
 
     /// Reads the chunks of these columns that are not there yet.
     fn read(&mut self, slots: impl IntoIterator<Item = Slot>) -> Result<(), QueryError> {
-        let missing: Vec<Slot> = slots.into_iter().filter(|s| self.chunks.iter().all(|(have, _)| have != s)).collect();
+        let mut missing: Vec<Slot> = Vec::new();
+        for slot in slots {
+            // Columns can be decoded only with those that they follow.
+            for slot in [slot].into_iter().chain(self.plan.snapshot.leaders(slot)) {
+                if !missing.contains(&slot) && self.chunks.iter().all(|(have, _)| *have != slot) {
+                    missing.push(slot);
+                }
+            }
+        }
         if missing.is_empty() {
             return Ok(());
         }
@@ -112,8 +120,9 @@ impl<'a> Part<'a> {
 
     /// `None` if no point of the part has the attribute.
     fn column(&self, slot: Slot, ty: ScalarType) -> Result<Option<ColumnChunk<'_>>, QueryError> {
-        let parse = |c| ColumnChunk::parse(c, ty, self.points).map_err(|e| self.damaged(slot, &e));
-        self.chunk(slot).map(|c| parse(c)).transpose()
+        let bytes_of = |slot| self.chunk(slot).map(|c| &c[..]);
+        let parse = |bytes| follow(&self.plan.snapshot, slot, ty, self.points, bytes, &bytes_of);
+        bytes_of(slot).map(parse).transpose().map_err(|e| self.damaged(slot, &e))
     }
 
     fn scans(&self) -> Result<ColumnChunk<'_>, QueryError> {
@@ -294,13 +303,20 @@ impl<'a> Part<'a> {
             }
             blocks += block_count(self.points) as u64;
         }
+        let mut chunks = Vec::with_capacity(plan.columns.len());
         for (asked, column) in plan.columns.iter().zip(&mut batch.columns) {
             match self.column(asked.id, asked.attribute.ty)? {
                 None => column.resize(self.points),
                 Some(chunk) => {
-                    chunk.at(&positions).decode(decoder, column).map_err(|e| self.damaged(asked.id, &e))?;
+                    chunks.push((asked.id, chunk.at(&positions), column));
                     blocks += block_count(self.points) as u64;
                 }
+            }
+        }
+        // Block by block, since columns that follow others find their blocks where they were just decoded.
+        for block in 0..block_count(self.points) {
+            for (slot, chunk, column) in &mut chunks {
+                chunk.decode_block(decoder, block, column).map_err(|e| self.damaged(*slot, &e))?;
             }
         }
         Meter::add(&plan.meter.blocks, blocks);

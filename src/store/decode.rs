@@ -5,7 +5,7 @@ use super::error::{RowError, StoreError};
 use super::model::{NodeHead, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanId, Slot};
 use super::rows::RowName;
 use super::snapshot::{ChunkBytes, ReadCost, Snapshot};
-use crate::codec::{ColumnChunk, Decoder, PositionChunk};
+use crate::codec::{CodecError, ColumnChunk, Decoder, PositionChunk, block_count};
 use crate::lattice::{Key, LatticeBox};
 use crate::points::{Column, ScalarType};
 
@@ -43,6 +43,30 @@ pub fn decode_part_keys(
     Ok(keys)
 }
 
+/// The chunk of a column with the chunks of those that it follows; `bytes_of` has all that are there.
+///
+/// # Errors
+///
+/// As [`ColumnChunk::parse`].
+pub fn follow<'a>(
+    snapshot: &Snapshot,
+    slot: Slot,
+    ty: ScalarType,
+    points: usize,
+    bytes: &'a [u8],
+    bytes_of: &dyn Fn(Slot) -> Option<&'a [u8]>,
+) -> Result<ColumnChunk<'a>, CodecError> {
+    let mut chunk = ColumnChunk::parse(bytes, ty, points)?;
+    if snapshot.leads(slot) {
+        chunk = chunk.leading();
+    }
+    for leader in snapshot.leaders(slot) {
+        let Some(bytes) = bytes_of(leader) else { break };
+        chunk = chunk.after(follow(snapshot, leader, ty, points, bytes, bytes_of)?);
+    }
+    Ok(chunk)
+}
+
 /// Reads and decodes all columns of a part.
 ///
 /// # Errors
@@ -73,21 +97,31 @@ pub fn decode_part(
     let positions = PositionChunk::parse(&positions, head.cube, points)
         .and_then(|c| c.decode_keys(decoder, &mut keys).map(|()| c))
         .map_err(|e| error(name(SLOT_POSITION).damage(e.to_string())))?;
-    let mut column = |slot: Slot, ty: ScalarType, bytes: &[u8]| {
-        let mut column = Column::with_capacity(ty, 0);
-        ColumnChunk::parse(bytes, ty, points)
-            .and_then(|c| c.at(&positions).decode(decoder, &mut column))
-            .map_err(|e| error(name(slot).damage(e.to_string())))?;
-        Ok::<_, StoreError>(column)
-    };
-    let Column::U32(scans) = column(SLOT_SCAN, ScalarType::U32, &next(SLOT_SCAN)?)? else {
-        return Err(error(name(SLOT_SCAN).damage("are no scan ids")));
-    };
-    let mut columns = Vec::with_capacity(slots.len());
+    let scan_bytes = next(SLOT_SCAN)?;
+    let mut found = Vec::with_capacity(slots.len());
     for &slot in slots.iter().skip(2) {
         let attribute =
             snapshot.attribute(slot).ok_or_else(|| error(name(slot).damage("there is no such attribute")))?;
-        columns.push((slot, column(slot, attribute.attribute.ty, &next(slot)?)?));
+        found.push((slot, attribute.attribute.ty, next(slot)?));
+    }
+    let of_slot = |slot: Slot| found.iter().find(|f| f.0 == slot).map(|f| &f.2[..]);
+    let parse = |slot: Slot, ty: ScalarType, bytes| {
+        let chunk = follow(snapshot, slot, ty, points, bytes, &of_slot);
+        chunk.map(|c| c.at(&positions)).map_err(|e| error(name(slot).damage(e.to_string())))
+    };
+    let mut scans = Column::with_capacity(ScalarType::U32, points);
+    let chunk = parse(SLOT_SCAN, ScalarType::U32, &scan_bytes[..])?;
+    chunk.decode(decoder, &mut scans).map_err(|e| error(name(SLOT_SCAN).damage(e.to_string())))?;
+    let Column::U32(scans) = scans else {
+        return Err(error(name(SLOT_SCAN).damage("are no scan ids")));
+    };
+    let chunks = found.iter().map(|(slot, ty, bytes)| parse(*slot, *ty, bytes)).collect::<Result<Vec<_>, _>>()?;
+    let mut columns: Vec<_> = found.iter().map(|f| (f.0, Column::with_capacity(f.1, points))).collect();
+    // Block by block, since columns that follow others find their blocks where they were just decoded.
+    for block in 0..block_count(points) {
+        for (chunk, (slot, column)) in chunks.iter().zip(&mut columns) {
+            chunk.decode_block(decoder, block, column).map_err(|e| error(name(*slot).damage(e.to_string())))?;
+        }
     }
     Ok(DecodedPart { keys, blocks: positions.blocks().to_vec(), scans, columns })
 }

@@ -1,6 +1,7 @@
 //! A node's points to its rows: parts, chunks, head and zone maps. Pure, and on ingest's hot path: many threads encode
 //! at once, one [`EncodeScratch`] each.
 
+use super::leaders::leaders;
 use super::model::{
     NodeHead, PartHead, Range, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanCount, ScanId, Shape, Slot, StoredAttribute,
     Zones,
@@ -27,6 +28,8 @@ pub struct ScanTable {
     colors: [Vec<Slot>; 3],
     /// The columns of times.
     times: Vec<Slot>,
+    /// Columns that are encoded after others, and those.
+    leaders: Vec<(Slot, Vec<Slot>)>,
 }
 
 #[derive(Clone, Debug)]
@@ -45,7 +48,9 @@ impl ScanTable {
         };
         let times = attributes.iter().filter(|a| a.attribute.name == "GpsTime" && a.attribute.ty == ScalarType::F64);
         let times = times.map(|a| a.id).collect();
-        Self { scans: Vec::new(), colors: [of("Red"), of("Green"), of("Blue")], times }
+        let leaders = attributes.iter().map(|a| (a.id, leaders(attributes, a.id).collect::<Vec<_>>()));
+        let leaders = leaders.filter(|(_, leaders)| !leaders.is_empty()).collect();
+        Self { scans: Vec::new(), colors: [of("Red"), of("Green"), of("Blue")], times, leaders }
     }
 
     /// Adds a scan, or replaces what was said of it: its attributes, and the depth of its colours, 8 or 16.
@@ -232,7 +237,12 @@ pub fn encode_node<K: SortKey>(
             if times.is_some_and(|times| times.0 == *slot) {
                 bytes = std::mem::take(&mut time_bytes);
             } else {
-                scratch.encoder.column_beside(column, &passes, &mut bytes)?;
+                let leaders = table.leaders.iter().find(|l| l.0 == *slot).map_or(&[][..], |l| &l.1);
+                let leaders: Vec<&Column> = leaders
+                    .iter()
+                    .map_while(|l| columns.iter().find(|c| c.0 == *l && is_there(*l)).map(|c| &c.1))
+                    .collect();
+                scratch.encoder.column_after(column, &passes, &leaders, &mut bytes)?;
             }
             pieces.push((*slot, bytes));
         }

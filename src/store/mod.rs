@@ -16,6 +16,7 @@ mod handle;
 mod index;
 mod info;
 mod lanes;
+mod leaders;
 mod lock;
 pub mod model;
 mod nodes;
@@ -38,7 +39,7 @@ mod zones;
 pub use cache::{BlockKey, CacheFigures, CachedBlock};
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
-pub use decode::{DecodedPart, decode_part, decode_part_keys};
+pub use decode::{DecodedPart, decode_part, decode_part_keys, follow};
 pub use describe::{
     AttributeCost, CrsDescription, Description, RejectedDescription, ScanDescription, WorldBounds, describe,
 };

@@ -4,6 +4,7 @@ use super::cache::{CachedBlock, block_key};
 use super::error::{RowError, StoreError};
 use super::index::{NodeIndex, NodeIx};
 use super::lanes::Lanes;
+use super::leaders;
 use super::model::{NodeHead, SLOT_PACKED, Scan, ScanId, Site, Slot, StoredAttribute, Zones};
 use super::nodes::{Nodes, Pages};
 use super::place::{Limits, Place, lock};
@@ -110,6 +111,17 @@ impl Snapshot {
     /// An attribute by its number.
     pub fn attribute(&self, id: Slot) -> Option<&StoredAttribute> {
         self.attributes().binary_search_by_key(&id, |a| a.id).ok().map(|i| &self.attributes()[i])
+    }
+
+    /// The attributes that this one is encoded after, in order; its chunks can be decoded only with theirs. In a part it
+    /// follows those before the first that the part does not have.
+    pub fn leaders(&self, id: Slot) -> impl Iterator<Item = Slot> + '_ {
+        leaders::leaders(self.attributes(), id)
+    }
+
+    /// Are others encoded after this attribute?
+    pub fn leads(&self, id: Slot) -> bool {
+        leaders::leads(self.attributes(), id)
     }
 
     /// All nodes, read and checked at the first call: for work on all of them.

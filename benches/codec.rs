@@ -187,6 +187,31 @@ fn laz_size<'a>(header: &las::Header, records: impl Iterator<Item = &'a [u8]>) -
     Ok(size(&records)? - size(&[])?)
 }
 
+/// The attributes that one is encoded after, as a store has it; they come before it.
+fn leaders(attributes: &[Attribute], a: usize) -> Vec<usize> {
+    let names: &[&str] = match &*attributes[a].name {
+        "Green" => &["Red"],
+        "Blue" => &["Red", "Green"],
+        "NumberOfReturns" => &["ReturnNumber"],
+        _ => &[],
+    };
+    names.iter().filter_map(|name| attributes.iter().position(|a| a.name == *name)).collect()
+}
+
+fn follow<'a>(
+    attributes: &[Attribute],
+    a: usize,
+    count: usize,
+    bytes: &'a [u8],
+    bytes_of: &dyn Fn(usize) -> &'a [u8],
+) -> Result<ColumnChunk<'a>, Error> {
+    let chunk = ColumnChunk::parse(bytes, attributes[a].ty, count)?;
+    let leaders = leaders(attributes, a);
+    leaders
+        .into_iter()
+        .try_fold(chunk, |chunk, l| Ok(chunk.after(follow(attributes, l, count, bytes_of(l), bytes_of)?)))
+}
+
 fn report(
     tile: &str,
     path: &Path,
@@ -225,7 +250,10 @@ fn report(
                     Some(a) if attributes[a].name == "GpsTime" => {
                         encoder.times(&part.columns[a], part.cube, &part.keys, &mut chunk)?;
                     }
-                    Some(a) => encoder.column_beside(&part.columns[a], known, &mut chunk)?,
+                    Some(a) => {
+                        let leaders: Vec<_> = leaders(attributes, a).iter().map(|l| &part.columns[*l]).collect();
+                        encoder.column_after(&part.columns[a], known, &leaders, &mut chunk)?;
+                    }
                 }
                 if chunks.len() < parts.len() {
                     chunks.push(chunk.clone());
@@ -238,11 +266,13 @@ fn report(
             let mut values = column.checked_sub(1).map(|a| Column::zeros(attributes[a].ty, 0));
             for i in (0..repeats).flat_map(|_| 0..parts.len()) {
                 let (part, chunk) = (&parts[i], &chunks[i]);
-                if let Some(values) = &mut values {
+                if let (Some(values), Some(a)) = (&mut values, column.checked_sub(1)) {
                     values.resize(0);
                     let positions = &rows.get(&0).ok_or("positions come first")?.0[i];
                     let positions = PositionChunk::parse(positions, part.cube, part.keys.len())?;
-                    ColumnChunk::parse(chunk, values.ty(), part.keys.len())?
+                    // Those that it follows are decoded too, as by a reader who wants this one alone.
+                    let bytes = |l: usize| rows.get(&(l + 1)).map_or(&chunk[..], |row| &row.0[i]);
+                    follow(attributes, a, part.keys.len(), chunk, &bytes)?
                         .at(&positions)
                         .decode(&mut decoder, values)?;
                 } else {

@@ -306,7 +306,6 @@ mod tests {
                 prop_assert_eq!(build_bytes(&narrow, &mut same), Some(found.clone()));
                 prop_assert_eq!(&same, &indices);
             }
-            let mut bytes = Vec::new();
             // Another column that tells much, and one that tells nothing.
             for noise in [0, 7] {
                 let followed: Vec<_> = indices.iter().zip(0..).map(|(v, i)| (u16::from(*v) + noise * i) % sides).collect();

@@ -309,7 +309,8 @@ fn what_follows_from_positions_takes_little_and_asks_for_them() {
     let mut alone = Vec::new();
     encoder.column(&columns[0], &mut alone).unwrap();
     assert!(3 * times.len() < alone.len(), "{} bytes, alone {}", times.len(), alone.len());
-    assert!(100 * sources.len() < keys.len(), "{} bytes", sources.len());
+    // A hundredth of a byte a point, and what a block takes however little is in it.
+    assert!(90 * sources.len() < keys.len(), "{} bytes", sources.len());
     let mut column = Column::zeros(ScalarType::F64, 0);
     let chunk = ColumnChunk::parse(&times, ScalarType::F64, keys.len()).unwrap();
     assert_eq!(chunk.decode(&mut Decoder::new(), &mut column), Err(CodecError::NoPositions));

@@ -65,7 +65,7 @@ impl Step {
             return Self { limit, reciprocal: u32::MAX, shift: 0, bias: begin + sum - 1, others: sum - 1 };
         }
         let shift = u32::BITS - (number - 1).leading_zeros();
-        let reciprocal = ((1_u64 << (shift + 31)) + u64::from(number) - 1) / u64::from(number);
+        let reciprocal = (1_u64 << (shift + 31)).div_ceil(u64::from(number));
         Self { limit, reciprocal: reciprocal as u32, shift: shift - 1, bias: begin, others: sum - number }
     }
 

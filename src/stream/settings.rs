@@ -60,6 +60,9 @@ impl ScanChoice {
     }
 }
 
+/// Points of a node of the usual leaf capacity, all in one part: the largest parts but for masses of points on one place.
+const MOST_PART_POINTS: u64 = 32_768;
+
 /// How much may be used, and how fine it should be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
@@ -81,10 +84,12 @@ impl Default for Limits {
 
 impl Limits {
     /// Blocks of a pool for twice `points` points: the front and the back draw list. Half as much again, because the last
-    /// block of a part is seldom full. Where parts are so small that this is not enough, a list ends when its blocks do.
+    /// block of a part is seldom full, and room for one part in each, since the last one of a list is there whole though
+    /// only its beginning is drawn. Where parts are so small that this is not enough, a list ends when its blocks do.
     pub fn blocks(&self, block_points: u32) -> u32 {
         let points = self.points.max(1).min(u64::from(u32::MAX) / 4);
-        let one = (points * 3).div_ceil(u64::from(block_points.max(1)) * 2);
+        let block_points = u64::from(block_points.max(1));
+        let one = (points * 3).div_ceil(block_points * 2) + MOST_PART_POINTS.div_ceil(block_points);
         2 * u32::try_from(one).unwrap_or(u32::MAX / 2)
     }
 }
@@ -109,7 +114,7 @@ mod tests {
     fn the_pool_has_room_for_two_lists() {
         let limits = Limits { points: 2_000_000, ..Limits::default() };
         let blocks = limits.blocks(2048);
-        assert!(u64::from(blocks) * 2048 >= 4_000_000 && u64::from(blocks) * 2048 <= 6_010_000);
-        assert_eq!(Limits { points: 0, ..limits }.blocks(2048), 2);
+        assert!(u64::from(blocks) * 2048 >= 4_000_000 && u64::from(blocks) * 2048 <= 6_080_000);
+        assert_eq!(Limits { points: 0, ..limits }.blocks(2048), 2 * (1 + 16));
     }
 }

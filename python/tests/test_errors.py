@@ -45,7 +45,6 @@ import pytest
         ({"capacity": "many"}, TypeError, "capacity must be a whole number"),
         ({"view": {"eye": [0, 0, 0]}}, esker.QueryError, "target"),
         ({"view": "nowhere.json"}, esker.QueryError, "nowhere.json"),
-        ({"view": {"eye": [0, 0, 9], "target": [0, 0, 0]}, "level": 2}, esker.QueryError, "a view has its detail in pixels"),
         ({"positions": "globe"}, esker.QueryError, "positions"),
         ({"bax": (0, 0, 1, 1)}, TypeError, "bax"),
     ],

@@ -103,7 +103,7 @@ fn a_script_uses_every_part_of_the_window() {
          # turn, move, zoom\n\
          drag left 400 400 480 420\ndrag right 400 400 380 390\npoint 400 400\nwait complete\nwheel 2\nwait complete\nstate\n\
          # measure\n\
-         key M\nclick 380 400\nwait complete\nclick 380 400\nwait complete\nclick 470 430\nwait complete\nclick 470 430\nwait complete\nstate\nshot measure.png\n\
+         key M\nclick 380 400\nwait complete\nclick 470 430\nwait complete\nstate\nshot measure.png\n\
          key Esc\n\
          # bookmark\n\
          click @places\nwait 50\nclick @bookmark.name\ntext door\nclick @bookmark.save\nwait 1500\nstate\n\

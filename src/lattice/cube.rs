@@ -173,26 +173,31 @@ pub struct LatticeBox {
 
 impl LatticeBox {
     /// The box of one point.
+    #[inline]
     pub fn of(point: LatticePoint) -> Self {
         Self { min: point, max: point }
     }
 
     /// Does it hold `point`?
+    #[inline]
     pub fn contains(&self, point: LatticePoint) -> bool {
         (0..3).all(|i| (self.min.0[i]..=self.max.0[i]).contains(&point.0[i]))
     }
 
     /// Does it hold all of `other`?
+    #[inline]
     pub fn contains_box(&self, other: &Self) -> bool {
         (0..3).all(|i| self.min.0[i] <= other.min.0[i] && other.max.0[i] <= self.max.0[i])
     }
 
     /// Do they share a point?
+    #[inline]
     pub fn meets(&self, other: &Self) -> bool {
         (0..3).all(|i| self.min.0[i] <= other.max.0[i] && other.min.0[i] <= self.max.0[i])
     }
 
     /// The smallest box that holds both.
+    #[inline]
     pub fn union(&self, other: &Self) -> Self {
         Self {
             min: LatticePoint(std::array::from_fn(|i| self.min.0[i].min(other.min.0[i]))),
@@ -201,6 +206,7 @@ impl LatticeBox {
     }
 
     /// The smallest box that holds this one and `point`.
+    #[inline]
     pub fn with(&self, point: LatticePoint) -> Self {
         self.union(&Self::of(point))
     }

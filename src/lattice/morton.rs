@@ -39,6 +39,7 @@ pub trait SortKey: Copy + Ord + Send + Sync + std::fmt::Debug {
 }
 
 impl SortKey for u64 {
+    #[inline]
     fn differing_digit(self, other: Self) -> i8 {
         match self ^ other {
             0 => -1,
@@ -52,20 +53,24 @@ impl SortKey for u64 {
         (self ^ other).checked_shr(3 * (u32::from(index.unsigned_abs()) + 1)).is_some_and(|above| above != 0)
     }
 
+    #[inline]
     fn digit(self, index: u8) -> u8 {
         (self >> (3 * index)) as u8 & 7
     }
 
+    #[inline]
     fn halves(self) -> (u128, u64) {
         (0, self)
     }
 
+    #[inline]
     fn from_halves(_: u128, low: u64) -> Self {
         low
     }
 }
 
 impl SortKey for Key {
+    #[inline]
     fn differing_digit(self, other: Self) -> i8 {
         match self.high ^ other.high {
             0 => self.low.differing_digit(other.low),
@@ -73,14 +78,17 @@ impl SortKey for Key {
         }
     }
 
+    #[inline]
     fn digit(self, index: u8) -> u8 {
         if index < LOW_DIGITS { self.low.digit(index) } else { (self.high >> (3 * (index - LOW_DIGITS))) as u8 & 7 }
     }
 
+    #[inline]
     fn halves(self) -> (u128, u64) {
         (self.high, self.low)
     }
 
+    #[inline]
     fn from_halves(high: u128, low: u64) -> Self {
         Self { high, low }
     }
@@ -88,16 +96,19 @@ impl SortKey for Key {
 
 impl Key {
     /// The key of `point`.
+    #[inline]
     pub fn of(point: LatticePoint) -> Self {
         Self::interleave(point.0.map(|c| c ^ PRIORITY_MASK))
     }
 
     /// The point with this key.
+    #[inline]
     pub fn point(self) -> LatticePoint {
         LatticePoint(self.deinterleave().map(|c| c ^ PRIORITY_MASK))
     }
 
     /// Plain Morton code, without the reflection: the order of node keys.
+    #[inline]
     pub(super) fn interleave(c: [u64; 3]) -> Self {
         let [x, y, z] = c.map(spread_low);
         let low = x | y << 1 | z << 2;
@@ -106,6 +117,7 @@ impl Key {
     }
 
     /// The coordinates of a plain Morton code.
+    #[inline]
     pub(super) fn deinterleave(self) -> [u64; 3] {
         [0, 1, 2].map(|axis| {
             let high = self.high >> axis;
@@ -116,6 +128,7 @@ impl Key {
     }
 
     /// The key with its lowest `3 k` bits removed: equal for exactly the points of one aligned cube of exponent `k`.
+    #[inline]
     pub fn prefix(self, k: u8) -> Self {
         let bits = 3 * u32::from(k.min(BITS));
         if bits >= 63 {
@@ -126,6 +139,7 @@ impl Key {
     }
 
     /// The least key of the aligned cube of exponent `k` that holds this key.
+    #[inline]
     pub fn floor(self, k: u8) -> Self {
         let bits = 3 * u32::from(k.min(BITS));
         if bits >= 63 {
@@ -137,6 +151,7 @@ impl Key {
     }
 
     /// The greatest key of the aligned cube of exponent `k` that holds this key.
+    #[inline]
     pub fn ceil(self, k: u8) -> Self {
         let bits = 3 * u32::from(k.min(BITS));
         if bits >= 63 {

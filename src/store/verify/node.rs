@@ -8,7 +8,7 @@ use super::super::shape::Relative;
 use super::super::snapshot::Snapshot;
 use super::{Finding, finding};
 use crate::codec::{BLOCK_POINTS, Decoder};
-use crate::lattice::{Key, LatticeBox};
+use crate::lattice::{Cube, Key, LOW_DIGITS, LatticeBox, LatticePoint, SortKey};
 use crate::octree::Params;
 use std::collections::BTreeMap;
 
@@ -27,6 +27,8 @@ pub(super) struct NodeTally {
 pub(super) struct Scratch {
     decoder: Decoder,
     relative: Relative,
+    /// The points of a part.
+    points: Vec<LatticePoint>,
 }
 
 /// Checks the nodes of a snapshot.
@@ -59,9 +61,10 @@ impl<'a> Checker<'a> {
             }
         }
         for (i, part) in parts.iter().enumerate() {
-            let found = self.check_part(head, part);
+            fill_points(head.cube, &part.keys, &mut scratch.points);
+            let found = self.check_part(head, part, &scratch.points);
             tally.findings.extend(found.map(|what| wrong("chunk", format!("part {i}: {what}"))));
-            count(part, &mut tally.scans);
+            count(part, &scratch.points, &mut tally.scans);
         }
         match self.snapshot.with(|c| rows::load_zones(c, head.layer, head.cube)) {
             Ok(zones) => tally.zones = Some(zones),
@@ -76,18 +79,14 @@ impl<'a> Checker<'a> {
     }
 
     /// Order, containment, blocks, and which columns there are.
-    fn check_part(&self, head: &NodeHead, part: &DecodedPart) -> Option<String> {
+    fn check_part(&self, head: &NodeHead, part: &DecodedPart, points: &[LatticePoint]) -> Option<String> {
         if !part.keys.is_sorted() {
             return Some("the points are not in key order".into());
         }
-        let points: Vec<_> = part.keys.iter().map(|k| k.point()).collect();
-        if !points.iter().all(|&p| head.cube.contains(p)) {
+        if !inside(head.cube, &part.keys) {
             return Some("a point is outside of the node's cube".into());
         }
-        let tight = points
-            .chunks(BLOCK_POINTS)
-            .map(|block| block.iter().map(|&p| LatticeBox::of(p)).reduce(|a, b| a.union(&b)));
-        if !tight.eq(part.blocks.iter().map(|b| Some(*b))) {
+        if !points.chunks(BLOCK_POINTS).map(bounds).eq(part.blocks.iter().map(|b| Some(*b))) {
             return Some("the bounds of a block are not those of its points".into());
         }
         let present = runs(&part.scans);
@@ -113,11 +112,46 @@ impl<'a> Checker<'a> {
 
     /// What the row and the zone maps should say.
     fn describe(&self, head: &NodeHead, parts: &[DecodedPart], scratch: &mut Scratch) -> Description {
-        let mut keys: Vec<Key> = parts.iter().flat_map(|p| p.keys.iter().copied()).collect();
-        keys.sort();
         let slices: Vec<_> = parts.iter().map(|p| ColumnSlices { scans: &p.scans, columns: &p.columns }).collect();
-        describe(head.cube, &keys, &slices, &self.table, &mut scratch.relative)
+        if head.cube.k() <= LOW_DIGITS {
+            let keys = merged(parts, |key| key.low);
+            describe(head.cube, &keys, &slices, &self.table, &mut scratch.relative)
+        } else {
+            let keys = merged(parts, |key| key);
+            describe(head.cube, &keys, &slices, &self.table, &mut scratch.relative)
+        }
     }
+}
+
+/// The keys of all parts in order.
+fn merged<K: SortKey>(parts: &[DecodedPart], of: impl Fn(Key) -> K) -> Vec<K> {
+    let mut keys = Vec::with_capacity(parts.iter().map(|p| p.keys.len()).sum());
+    parts.iter().for_each(|p| keys.extend(p.keys.iter().map(|key| of(*key))));
+    // Stable, and quick on a few runs.
+    keys.sort();
+    keys
+}
+
+/// Do all these keys belong to the cube?
+fn inside(cube: Cube, keys: &[Key]) -> bool {
+    let all = cube.first_key()..=cube.last_key();
+    keys.iter().all(|key| all.contains(key))
+}
+
+/// The points with these keys; of those inside `cube` the digits above its own are known.
+fn fill_points(cube: Cube, keys: &[Key], points: &mut Vec<LatticePoint>) {
+    points.clear();
+    if cube.k() <= LOW_DIGITS && inside(cube, keys) {
+        points.extend(keys.iter().map(|key| cube.point_of_low_key(key.low)));
+    } else {
+        points.extend(keys.iter().map(|key| key.point()));
+    }
+}
+
+/// The tight bounds of some points, if there are any.
+fn bounds(points: &[LatticePoint]) -> Option<LatticeBox> {
+    let first = points.first()?;
+    Some(points.iter().fold(LatticeBox::of(*first), |bounds, point| bounds.with(*point)))
 }
 
 /// What a node's rows say wrongly.
@@ -150,11 +184,11 @@ fn runs(scans: &[ScanId]) -> BTreeMap<ScanId, u64> {
 }
 
 /// Adds a part's points and their bounds.
-fn count(part: &DecodedPart, scans: &mut Vec<(ScanId, u64, LatticeBox)>) {
+fn count(part: &DecodedPart, points: &[LatticePoint], scans: &mut Vec<(ScanId, u64, LatticeBox)>) {
     let mut start = 0;
     for run in part.scans.chunk_by(|a, b| a == b) {
         let end = start + run.len();
-        let bounds = part.keys[start..end].iter().map(|k| LatticeBox::of(k.point())).reduce(|a, b| a.union(&b));
+        let bounds = bounds(&points[start..end]);
         start = end;
         let Some(bounds) = bounds else { continue };
         match scans.iter_mut().find(|s| s.0 == run[0]) {

@@ -173,13 +173,7 @@ pub(super) fn put_block<T: Value>(
     if most <= u64::from(u8::MAX) {
         let numbers = &mut buffers.bytes;
         numbers.clear();
-        if step.size() == 1 {
-            numbers.extend(block.iter().map(|v| (v.ordered() - least) as u8));
-        } else if step.odd == 1 {
-            numbers.extend(block.iter().map(|v| ((v.ordered() - least) >> step.zeros) as u8));
-        } else {
-            numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least) as u8));
-        }
+        T::append_few_steps(block, least, step.zeros, step.inverse, numbers);
         if let Some(passes) = passes
             && steady::try_put_same(streams, passes, |i| u64::from(buffers.bytes[i]), steady_head, out)
         {
@@ -189,7 +183,7 @@ pub(super) fn put_block<T: Value>(
     } else {
         let numbers = &mut buffers.values;
         numbers.clear();
-        numbers.extend(block.iter().map(|v| step.quotient(v.ordered() - least)));
+        T::append_steps(block, least, step.zeros, step.inverse, numbers);
         if let Some(passes) = passes
             && steady::try_put_same(streams, passes, |i| buffers.values[i], steady_head, out)
         {

@@ -37,14 +37,6 @@ fn type_code(ty: ScalarType) -> u8 {
     }
 }
 
-/// Are all values the same, bit for bit?
-fn is_constant<T: Value>(values: &[T]) -> bool {
-    // In runs, so that the compiler may compare many at once and a difference is seen soon.
-    values
-        .first()
-        .is_none_or(|first| values.chunks(64).all(|run| run.iter().fold(0, |d, v| d | (v.bits() ^ first.bits())) == 0))
-}
-
 impl Encoder {
     /// Appends the chunk of a column's values, which decode without positions.
     ///
@@ -144,7 +136,7 @@ impl Encoder {
         out: &mut Vec<u8>,
     ) {
         if let Some(first) = values.first()
-            && is_constant(values)
+            && T::all_same(values)
         {
             out.push(type_code(ty) | CONSTANT);
             put_uint(first.bits(), ty.size(), out);

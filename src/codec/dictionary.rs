@@ -7,7 +7,7 @@
 use super::CodecError;
 use super::reader::{Reader, put_varint};
 use super::stream::{StreamReader, StreamWriter};
-use super::symbols::{FEW_SYMBOLS, MANY_CONTEXTS, run_of};
+use super::symbols::{FEW_SYMBOLS, run_of};
 
 /// How indices are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,7 +157,7 @@ pub(super) fn put_indices(
         }
         if best < indices.len().div_ceil(per_byte) {
             out.push(way as u8);
-            streams.coder.put::<MANY_CONTEXTS>(indices, |i| usize::from(contexts[i]), out);
+            streams.coder.put_in(indices, &contexts, out);
             streams.tails = contexts;
             return;
         }

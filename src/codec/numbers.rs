@@ -3,10 +3,10 @@
 //!
 //! The way is one byte; a stream of symbols or residuals follows, to the end of the block.
 
+use super::CodecError;
 use super::reader::Reader;
 use super::residual::{Plan, SAMPLE, plan, plan_bytes, put_residuals, read_residuals, sample};
 use super::stream::{StreamReader, StreamWriter};
-use super::{BLOCK_POINTS, CodecError};
 
 /// How numbers are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,9 +146,8 @@ pub(super) fn put<N: Copy + Into<u64>>(
 
 /// Appends so many zeros.
 pub(super) fn put_zeros(streams: &mut StreamWriter, count: usize, out: &mut Vec<u8>) {
-    static ZEROS: [u8; BLOCK_POINTS] = [0; BLOCK_POINTS];
     out.push(Way::Bytes as u8);
-    streams.put(&ZEROS[..count], out);
+    streams.put_zeros(count, out);
 }
 
 /// Numbers as they were read.

@@ -3,9 +3,9 @@
 //! `varint(length << 2 | packing)`, then that many bytes. A frame is kept without its magic number, checksum and
 //! dictionary id; its content's length is known from the block's count.
 
-use super::CodecError;
 use super::reader::{Reader, put_varint};
-use super::symbols::{ONE_CONTEXT, SymbolReader, SymbolWriter};
+use super::symbols::{SymbolReader, SymbolWriter};
+use super::{BLOCK_POINTS, CodecError};
 use std::fmt;
 use zstd::zstd_safe::{CCtx, DCtx, compress_bound, get_error_name};
 
@@ -74,6 +74,8 @@ pub(super) struct StreamWriter {
     pub(super) symbols: Vec<u8>,
     /// Their open bits, for the use of callers.
     pub(super) tails: Vec<u8>,
+    /// How many zeros were written last, and their stream.
+    zeros: (usize, Vec<u8>),
 }
 
 /// Reads streams.
@@ -108,7 +110,7 @@ impl StreamWriter {
             }
             if coded < len {
                 self.frame.clear();
-                self.coder.put::<ONE_CONTEXT>(bytes, |_| 0, &mut self.frame);
+                self.coder.put(bytes, &mut self.frame);
                 // What was estimated may be a little more.
                 if self.frame.len() < len {
                     return put_packed(Packing::Symbols, &self.frame, out);
@@ -116,6 +118,19 @@ impl StreamWriter {
             }
         }
         put_packed(Packing::Plain, bytes, out);
+    }
+
+    /// Appends so many zeros, at most [`BLOCK_POINTS`].
+    pub(super) fn put_zeros(&mut self, count: usize, out: &mut Vec<u8>) {
+        static ZEROS: [u8; BLOCK_POINTS] = [0; BLOCK_POINTS];
+        // Most blocks have one length, and what is steady within a pass is zeros.
+        if self.zeros.0 != count {
+            let mut stream = std::mem::take(&mut self.zeros.1);
+            stream.clear();
+            self.put(&ZEROS[..count], &mut stream);
+            self.zeros = (count, stream);
+        }
+        out.extend_from_slice(&self.zeros.1);
     }
 
     /// Makes a frame and gives its length without the magic number; none if zstd fails.
@@ -170,6 +185,7 @@ impl Default for StreamWriter {
             coder: SymbolWriter::default(),
             symbols: Vec::new(),
             tails: Vec::new(),
+            zeros: (0, Vec::new()),
         }
     }
 }

@@ -13,6 +13,12 @@ pub(super) trait Value: Copy + Default {
     fn of_bits(bits: u64) -> Self;
     /// How values lie, of which there is at least one.
     fn survey(values: &[Self]) -> Survey;
+    /// Are all values the same, bit for bit?
+    fn all_same(values: &[Self]) -> bool;
+    /// Appends how many steps each value is above `least`: `odd * inverse` is 1 modulo 2^64, and a step is `odd << zeros`.
+    fn append_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u64>);
+    /// The same where there are at most 255 of them.
+    fn append_few_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u8>);
 }
 
 /// How a block's values lie, by [`Value::ordered`].
@@ -24,9 +30,32 @@ pub(super) struct Survey {
     pub(super) differing: u64,
 }
 
-/// [`Value::survey`] in the type's own width, so that the compiler may take many values at once.
-macro_rules! survey {
+/// What is done with all values of a block, in the type's own width, so that the compiler may take many at once.
+macro_rules! of_blocks {
     ($u:ty) => {
+        fn all_same(values: &[Self]) -> bool {
+            let native = |v: &Self| v.bits() as $u;
+            let Some(first) = values.first().map(native) else { return true };
+            // In runs, so that a difference is seen soon.
+            values.chunks(256).all(|run| run.iter().map(native).fold(0, |d, v| d | (v ^ first)) == 0)
+        }
+
+        fn append_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u64>) {
+            let (least, inverse) = (least as $u, inverse as $u);
+            let steps = |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
+            out.extend(values.iter().map(|v| u64::from(steps(v))));
+        }
+
+        fn append_few_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u8>) {
+            let (least, inverse) = (least as $u, inverse as $u);
+            if inverse == 1 && zeros == 0 {
+                out.extend(values.iter().map(|v| (v.ordered() as $u).wrapping_sub(least) as u8));
+            } else {
+                let steps = |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
+                out.extend(values.iter().map(|v| steps(v) as u8));
+            }
+        }
+
         fn survey(values: &[Self]) -> Survey {
             let native = |v: &Self| v.ordered() as $u;
             let first = native(&values[0]);
@@ -64,7 +93,7 @@ macro_rules! unsigned {
                 bits as $t
             }
 
-            survey!($t);
+            of_blocks!($t);
         }
     )*};
 }
@@ -92,7 +121,7 @@ macro_rules! signed {
                 bits as $t
             }
 
-            survey!($u);
+            of_blocks!($u);
         }
     )*};
 }
@@ -125,7 +154,7 @@ macro_rules! float {
                 Self::from_bits(bits as $u)
             }
 
-            survey!($u);
+            of_blocks!($u);
         }
     )*};
 }

@@ -294,11 +294,19 @@ impl Found {
 /// The gap above which a point begins another sweep: the emptiest place in the distribution of gaps between a heap of
 /// small ones (between pulses) and one of large ones (between lines).
 fn line_gap(sorted: &[Entry]) -> Option<i64> {
-    let mut heap = [0_usize; 66];
-    for pair in sorted.windows(2) {
-        let gap = pair[1].number() - pair[0].number();
-        heap[(u64::BITS - gap.leading_zeros()) as usize] += 1;
+    // Two heaps, since an addition that waits for the one before it is slow.
+    let mut heaps = [[0_usize; 66]; 2];
+    let bits = |from: Entry, to: Entry| (u64::BITS - (to.number() - from.number()).leading_zeros()) as usize;
+    let mut next = 1;
+    while let Some(three) = sorted.get(next - 1..next + 2) {
+        heaps[0][bits(three[0], three[1])] += 1;
+        heaps[1][bits(three[1], three[2])] += 1;
+        next += 2;
     }
+    if let Some(last) = sorted.get(next - 1..next + 1) {
+        heaps[0][bits(last[0], last[1])] += 1;
+    }
+    let mut heap: [usize; 66] = std::array::from_fn(|i| heaps[0][i] + heaps[1][i]);
     heap[0] = 0;
     let points = sorted.len();
     let mut above: usize = heap.iter().sum();

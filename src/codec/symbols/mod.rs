@@ -10,9 +10,10 @@
 
 mod table;
 
-use super::CodecError;
 use super::bits::{BitWriter, PADDING};
 use super::reader::Reader;
+use super::{BLOCK_POINTS, CodecError};
+use std::hint::select_unpredictable;
 use table::{Bits, MAX_STORED_BITS, MAX_SYMBOLS};
 
 const PLACE: &str = "coded symbols";
@@ -43,37 +44,44 @@ const LEAST: u32 = 1 << 15;
 /// The bytes of the states.
 const STATE_BYTES: usize = 4 * RUNS;
 
+/// The most symbols that are coded together.
+const MAX_COUNT: usize = BLOCK_POINTS;
+
+/// Steps of all contexts where there are many.
+const MANY_STEPS: usize = MAX_CONTEXTS * FEW_SYMBOLS;
+
+/// Room for the words of a block and one that is written and not kept; a power of two, so that places are masked.
+const WORDS: usize = 2 * MAX_COUNT;
+
 /// Where in its table a symbol is, made for coding without divisions.
 #[derive(Clone, Copy, Debug, Default)]
 struct Step {
+    /// `2^64 / number`, rounded up: states are below 2^31 and numbers at most 2^11, so the quotient is exact.
+    reciprocal: u64,
     /// States from here on give a word away first.
     limit: u32,
-    /// `2^(31 + shift + 1) / number`, rounded up.
-    reciprocal: u32,
-    shift: u32,
     /// Where its numbers begin, and one less than the sum for the number 1.
-    bias: u32,
+    bias: u16,
     /// What the numbers of all others add up to.
-    others: u32,
+    others: u16,
 }
 
 impl Step {
     fn new(begin: u32, number: u32, sum: u32) -> Self {
         let limit = (LEAST / sum * number) << 16;
+        let others = (sum - number) as u16;
         if number == 1 {
             // The quotient by the reciprocal is one too small.
-            return Self { limit, reciprocal: u32::MAX, shift: 0, bias: begin + sum - 1, others: sum - 1 };
+            return Self { limit, reciprocal: u64::MAX, bias: (begin + sum - 1) as u16, others };
         }
-        let shift = u32::BITS - (number - 1).leading_zeros();
-        let reciprocal = (1_u64 << (shift + 31)).div_ceil(u64::from(number));
-        Self { limit, reciprocal: reciprocal as u32, shift: shift - 1, bias: begin, others: sum - number }
+        Self { limit, reciprocal: u64::MAX / u64::from(number) + 1, bias: begin as u16, others }
     }
 
     /// The state after this symbol, for a state below the limit.
     #[inline]
-    fn after(self, state: u32) -> u32 {
-        let quotient = ((u64::from(state) * u64::from(self.reciprocal)) >> 32) as u32 >> self.shift;
-        state + self.bias + quotient * self.others
+    fn after(&self, state: u32) -> u32 {
+        let quotient = (u128::from(state) * u128::from(self.reciprocal) >> 64) as u32;
+        state + u32::from(self.bias) + quotient * u32::from(self.others)
     }
 }
 
@@ -82,6 +90,7 @@ impl Step {
 pub(super) struct SymbolWriter {
     /// How often each symbol is in each context, then its numbers.
     counts: Vec<u32>,
+    /// Of one context as many as there are symbols, of many [`FEW_SYMBOLS`] each; only those of what was counted are right.
     steps: Vec<Step>,
     bits: Vec<u8>,
     words: Vec<u16>,
@@ -109,18 +118,21 @@ impl SymbolWriter {
     /// The same for symbols below `of`, each in the context that stands at its place.
     pub(super) fn count_in(&mut self, symbols: &[u8], contexts: &[u8], of: usize, contexts_of: usize) -> usize {
         // Two tables, since an addition that waits for the one before it is slow.
-        let len = of * contexts_of;
-        self.counts.clear();
-        self.counts.resize(2 * len, 0);
-        let (one, other) = self.counts.split_at_mut(len);
-        let place = |symbol: &u8, context: &u8| usize::from(*context) * of + usize::from(*symbol);
-        for (symbols, contexts) in symbols.chunks(2).zip(contexts.chunks(2)) {
-            for ((symbol, context), table) in symbols.iter().zip(contexts).zip([&mut *one, &mut *other]) {
-                table[place(symbol, context)] += 1;
-            }
+        let len = (of * contexts_of).min(MANY_STEPS);
+        let mut tables = [[0_u16; MANY_STEPS]; 2];
+        let place = |symbol: u8, context: u8| (usize::from(context) * of + usize::from(symbol)) % MANY_STEPS;
+        let (symbol_pairs, symbol) = symbols.as_chunks::<2>();
+        let (context_pairs, context) = contexts.as_chunks::<2>();
+        for (symbols, contexts) in symbol_pairs.iter().zip(context_pairs) {
+            tables[0][place(symbols[0], contexts[0])] += 1;
+            tables[1][place(symbols[1], contexts[1])] += 1;
         }
-        one.iter_mut().zip(other).for_each(|(n, more)| *n += *more);
-        self.counts.truncate(len);
+        for (symbol, context) in symbol.iter().zip(context) {
+            tables[0][place(*symbol, *context)] += 1;
+        }
+        self.counts.clear();
+        let [one, other] = &tables;
+        self.counts.extend(one[..len].iter().zip(&other[..len]).map(|(n, more)| u32::from(n + more)));
         (self.symbols, self.contexts) = (of, contexts_of);
         self.estimate()
     }
@@ -137,19 +149,29 @@ impl SymbolWriter {
         bits as usize / 8 + self.contexts.div_ceil(8) + STATE_BYTES - RUNS * 2
     }
 
-    /// Appends the symbols that were counted last, with tables whose numbers add up to `SUM`.
-    pub(super) fn put<const SUM: usize>(
-        &mut self,
-        symbols: &[u8],
-        context: impl Fn(usize) -> usize,
-        out: &mut Vec<u8>,
-    ) {
-        let Self { counts, steps, bits, words, .. } = self;
+    /// Appends the symbols that [`SymbolWriter::count`] counted last.
+    pub(super) fn put(&mut self, symbols: &[u8], out: &mut Vec<u8>) {
+        self.put_tables::<ONE_CONTEXT>(MAX_SYMBOLS, out);
+        // Only symbols are looked at.
+        self.put_words::<MAX_SYMBOLS>(symbols, symbols, |symbol, _| usize::from(symbol), out);
+    }
+
+    /// Appends the symbols that [`SymbolWriter::count_in`] counted last, in the same contexts.
+    pub(super) fn put_in(&mut self, symbols: &[u8], contexts: &[u8], out: &mut Vec<u8>) {
+        self.put_tables::<MANY_CONTEXTS>(FEW_SYMBOLS, out);
+        let place = |symbol: u8, context: u8| usize::from(context) * FEW_SYMBOLS + usize::from(symbol) % FEW_SYMBOLS;
+        self.put_words::<MANY_STEPS>(symbols, contexts, place, out);
+    }
+
+    /// Appends tables whose numbers add up to `SUM`, and makes the steps, `stride` for each context.
+    fn put_tables<const SUM: usize>(&mut self, stride: usize, out: &mut Vec<u8>) {
+        let Self { counts, steps, bits, .. } = self;
         out.push((self.symbols - 1) as u8);
-        steps.clear();
-        steps.resize(counts.len(), Step::default());
+        if steps.is_empty() {
+            steps.resize(MANY_STEPS, Step::default());
+        }
         let mut writer = BitWriter::new(bits, self.contexts * (1 + MAX_STORED_BITS * self.symbols));
-        for (table, steps) in counts.chunks_mut(self.symbols).zip(steps.chunks_mut(self.symbols)) {
+        for (table, steps) in counts.chunks_mut(self.symbols).zip(steps.chunks_mut(stride)) {
             let occurs = table.iter().any(|n| *n > 0);
             if self.contexts > 1 {
                 writer.put(occurs.into(), 1);
@@ -168,40 +190,63 @@ impl SymbolWriter {
         }
         let written = writer.finish();
         out.extend_from_slice(&bits[..written]);
+    }
 
+    /// Appends states and words; `place` tells where a symbol's step is among the first `STEPS`.
+    #[inline(always)]
+    fn put_words<const STEPS: usize>(
+        &mut self,
+        symbols: &[u8],
+        contexts: &[u8],
+        place: impl Fn(u8, u8) -> usize,
+        out: &mut Vec<u8>,
+    ) {
+        assert!(symbols.len() <= MAX_COUNT && contexts.len() == symbols.len(), "a block has at most so many points");
+        let Self { steps, words, .. } = self;
+        words.resize(WORDS, 0);
+        let (Some(steps), Some(words)) = (steps.first_chunk::<STEPS>(), words.first_chunk_mut::<WORDS>()) else {
+            return;
+        };
         // Backwards: a decoder takes last what was coded last.
-        let count = symbols.len();
-        let run = run_of(count);
-        words.resize(words.len().max(count + 1), 0);
-        let mut at = words.len() - 1;
+        let mut at = WORDS - 1;
         let mut states = [LEAST; RUNS];
-        let of = self.symbols;
-        let steps = &steps[..];
-        let mut code = |index: usize, i: usize, states: &mut [u32; RUNS]| {
-            let state = &mut states[index];
-            let step = &steps[context(i) * of + usize::from(symbols[i])];
+        let mut code = |state: &mut u32, symbol: u8, context: u8| {
+            let step = &steps[place(symbol, context)];
             // Written in any case and kept if need be: whether it is can't be foretold, so a branch would cost more.
-            words[at] = *state as u16;
+            words[at % WORDS] = *state as u16;
             let full = *state >= step.limit;
-            at -= usize::from(full);
-            *state >>= if full { 16 } else { 0 };
-            *state = step.after(*state);
+            at = at.wrapping_sub(usize::from(full));
+            *state = step.after(select_unpredictable(full, *state >> 16, *state));
         };
         // The last run may be shorter, and even more of them where there are few symbols.
-        let all = count.saturating_sub((RUNS - 1) * run);
+        let run = run_of(symbols.len());
+        let mut runs: [&[u8]; RUNS] = cut(symbols, run);
+        let mut of_runs: [&[u8]; RUNS] = cut(contexts, run);
+        let all = runs[RUNS - 1].len();
         for place in (all..run).rev() {
-            for index in (0..RUNS - 1).rev().filter(|index| index * run + place < count) {
-                code(index, index * run + place, &mut states);
+            for index in (0..RUNS - 1).rev().filter(|index| place < runs[*index].len()) {
+                code(&mut states[index], runs[index][place], of_runs[index][place]);
             }
         }
-        for place in (0..all).rev() {
-            for index in (0..RUNS).rev() {
-                code(index, index * run + place, &mut states);
-            }
+        [&mut runs, &mut of_runs].into_iter().flatten().for_each(|run| *run = &run[..all]);
+        let [a, b, c, d] = runs.map(|run| run.iter().rev());
+        let [e, f, g, h] = of_runs.map(|run| run.iter().rev());
+        let [ref mut first, ref mut second, ref mut third, ref mut fourth] = states;
+        for (((a, e), (b, f)), ((c, g), (d, h))) in a.zip(e).zip(b.zip(f)).zip(c.zip(g).zip(d.zip(h))) {
+            code(fourth, *d, *h);
+            code(third, *c, *g);
+            code(second, *b, *f);
+            code(first, *a, *e);
         }
         states.iter().for_each(|state| out.extend_from_slice(&state.to_le_bytes()));
-        words[at + 1..].iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
+        out.extend(words[at % WORDS + 1..].iter().flat_map(|word| word.to_le_bytes()));
     }
+}
+
+/// The four runs of a block.
+fn cut(all: &[u8], run: usize) -> [&[u8]; RUNS] {
+    let mut rest = all;
+    [(); RUNS].map(|()| rest.split_off(..run.min(rest.len())).unwrap_or_default())
 }
 
 /// Decodes symbols.
@@ -374,7 +419,7 @@ mod tests {
             let (mut writer, mut reader) = (SymbolWriter::default(), SymbolReader::default());
             let mut bytes = vec![9];
             let estimate = writer.count(&symbols);
-            writer.put::<ONE_CONTEXT>(&symbols, |_| 0, &mut bytes);
+            writer.put(&symbols, &mut bytes);
             prop_assert!(bytes.len() <= estimate + estimate / 16 + 60 + symbols.len() / 32, "{} {estimate}", bytes.len());
             let bytes = &mut bytes[1..];
             let mut back = vec![7; 3];
@@ -402,7 +447,7 @@ mod tests {
             let contexts: Vec<_> = (0..symbols.len()).map(|i| (side(i) * of + before(i)) as u8).collect();
             let mut bytes = Vec::new();
             writer.count_in(&symbols, &contexts, of, of * sides);
-            writer.put::<MANY_CONTEXTS>(&symbols, |i| usize::from(contexts[i]), &mut bytes);
+            writer.put_in(&symbols, &contexts, &mut bytes);
             let mut back = vec![7; 3];
             let context = |before: u8, i: usize| side(i) * of + usize::from(before);
             reader.read_in(&bytes, symbols.len(), of * sides, context, &mut back).unwrap();

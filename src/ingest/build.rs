@@ -14,6 +14,7 @@ use crate::octree::{self, Params, first_win, put_wins};
 use crate::store::{
     ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, PointColumns, ScanTable, encode_node,
 };
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -155,8 +156,12 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
     if let Some(assembler) = joiner.assembler.take() {
         assembler.finish(&mut |node| rest.push(node));
     }
-    Worker::new(plan).emit_owned(rest)
+    // The nodes above the last job, of which there may be some while all other threads have nothing left to do.
+    rest.into_par_iter().map_init(|| Worker::new(plan), |worker, node| worker.emit_owned(vec![node])).collect()
 }
+
+/// Rows of the last jobs.
+const LAST_ROWS: u64 = 1 << 16;
 
 /// Hands over what job `number` left; returns the nodes that became certain by it.
 fn advance(joiner: &Mutex<Joiner>, number: usize, subtree: Subtree<Held>) -> Vec<OwnedNode<Held>> {
@@ -179,7 +184,10 @@ fn jobs<K: RowKey>(plan: &Plan<'_>, buckets: &[Bucket]) -> Result<Vec<Job>, Inge
     for (number, bucket) in buckets.iter().enumerate() {
         // A bucket may be larger than the root; then it is the only one.
         let cube = if plan.root.contains_cube(bucket.cube) { bucket.cube } else { plan.root };
-        split::<K>(plan, bucket, number, cube, bucket.rows, &mut jobs)?;
+        // The last ones are cut finer, so that no thread is long without work while another is at the last.
+        let is_last = plan.threads > 1 && number + plan.threads >= buckets.len();
+        let most_rows = if is_last { plan.most_rows.min(LAST_ROWS) } else { plan.most_rows };
+        split::<K>(plan, bucket, (number, most_rows), cube, bucket.rows, &mut jobs)?;
     }
     Ok(jobs)
 }
@@ -187,12 +195,12 @@ fn jobs<K: RowKey>(plan: &Plan<'_>, buckets: &[Bucket]) -> Result<Vec<Job>, Inge
 fn split<K: RowKey>(
     plan: &Plan<'_>,
     bucket: &Bucket,
-    number: usize,
+    (number, most_rows): (usize, u64),
     cube: Cube,
     rows: u64,
     jobs: &mut Vec<Job>,
 ) -> Result<(), IngestError> {
-    if rows <= plan.most_rows || cube.k() <= plan.params.g {
+    if rows <= most_rows || cube.k() <= plan.params.g {
         if rows > 0 {
             jobs.push(Job { cube, rows, bucket: number });
         }
@@ -211,7 +219,7 @@ fn split<K: RowKey>(
     })?;
     for (octant, rows) in cube.octants_in_key_order().into_iter().zip(counts) {
         if let Some(child) = cube.child(octant) {
-            split::<K>(plan, bucket, number, child, rows, jobs)?;
+            split::<K>(plan, bucket, (number, most_rows), child, rows, jobs)?;
         }
     }
     Ok(())

@@ -101,6 +101,7 @@ impl Room {
         layer: &Layer<'_>,
         buckets: Vec<Bucket>,
     ) -> Result<Vec<(NodeHead, Zones)>, IngestError> {
+        writer.expect_many()?;
         let queue = Queue::new(self.budget.queue_bytes);
         let nodes = std::thread::scope(|scope| {
             let writing = scope.spawn(|| {

@@ -160,7 +160,7 @@ fn refuse_another_lattice(options: &IngestOptions, stored: &Lattice) -> Result<(
 
 /// Takes away a store that was created by this run and never got a scan.
 pub(super) fn remove_store(path: &Path) {
-    for suffix in ["", "-wal", "-shm", "-lock"] {
+    for suffix in ["", "-wal", "-shm", "-journal", "-lock"] {
         let mut name = path.as_os_str().to_owned();
         name.push(suffix);
         // What can't be removed is an empty store, which does no harm.

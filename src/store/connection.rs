@@ -1,7 +1,7 @@
 //! How SQLite is opened: flags, pragmas, schema, and the checks that the file is a store of ours.
 
 use super::error::{RowError, StoreError};
-use super::files::{uri, wal_bytes};
+use super::files::{has_journal, uri, wal_bytes};
 use super::rows::load_site;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
@@ -19,6 +19,12 @@ const PAGE_BYTES: u32 = 2048;
 
 /// How long SQLite waits for a lock of another process.
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How often the file is tried for, when it is wanted alone: readers of this process may just be closing.
+const TRIES_ALONE: usize = 5;
+
+/// How long between.
+const TRY_AGAIN: Duration = Duration::from_millis(10);
 
 /// What a connection is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +74,32 @@ fn prepare(connection: &Connection, purpose: Purpose) -> Result<(), RowError> {
     Ok(())
 }
 
+/// Takes the file for this connection alone and leaves the log for a rollback journal, if nobody else has it open; says if
+/// it did.
+pub(super) fn leave_log(connection: &Connection) -> Result<bool, RowError> {
+    for _ in 0..TRIES_ALONE {
+        let mode = connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get::<_, String>(0));
+        match mode {
+            Ok(mode) if mode == "delete" => {
+                connection.execute_batch("PRAGMA locking_mode = EXCLUSIVE; BEGIN EXCLUSIVE; COMMIT")?;
+                return Ok(true);
+            }
+            // Not as long as there is another connection.
+            Ok(_) => {}
+            Err(e) if matches!(e.sqlite_error_code(), Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked)) => {}
+            Err(e) => return Err(e.into()),
+        }
+        std::thread::sleep(TRY_AGAIN);
+    }
+    Ok(false)
+}
+
+/// Back to the log; the file stays this connection's alone until that is closed.
+pub(super) fn enter_log(connection: &Connection) -> Result<(), RowError> {
+    let mode: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
+    if mode == "wal" { Ok(()) } else { Err(RowError::Inconsistent("the file can't go back to its log".into())) }
+}
+
 /// Why a store was not opened.
 pub(super) enum Refused {
     /// The place does not let SQLite do what it needs: no file can be made beside the store.
@@ -100,6 +132,9 @@ impl Refused {
 /// Opens a store and checks that it is one of a known version.
 pub(super) fn open(path: &Path, purpose: Purpose) -> Result<Connection, Refused> {
     let refused = |e: RowError| Refused::of(e, path);
+    if purpose != Purpose::Immutable && has_journal(path) {
+        check_journal(path).map_err(Refused::Store)?;
+    }
     let connection = open_raw(path, purpose).map_err(refused)?;
     check_kind(&connection, path)?;
     if purpose == Purpose::Write {
@@ -132,7 +167,7 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Purpose, Connection), Sto
     }
     match open(path, Purpose::Read) {
         // No shared memory can be made beside it.
-        Err(Refused::Place) if had_wal => Err(StoreError::NeedsRecovery { path: path_buf() }),
+        Err(Refused::Place) if had_wal || has_journal(path) => Err(StoreError::NeedsRecovery { path: path_buf() }),
         Err(Refused::Place) => open(path, Purpose::Immutable).map(|c| (Purpose::Immutable, c)).map_err(|e| e.at(path)),
         Err(e) => Err(e.at(path)),
         Ok(connection) => Ok((Purpose::Read, connection)),
@@ -151,6 +186,15 @@ fn check_wal(path: &Path) -> Result<(), StoreError> {
     // While a checkpoint is running the first view may be torn: then there is a live writer, and the log is its own.
     match (id(Purpose::Immutable), id(Purpose::Read)) {
         (Ok(without), Ok(with)) if without != with => Err(StoreError::ForeignWal { path: path.to_path_buf() }),
+        _ => Ok(()),
+    }
+}
+
+/// A journal that a deleted store left must not be taken for this one's: SQLite would undo what it says. There is one only
+/// before the first commit of a store.
+fn check_journal(path: &Path) -> Result<(), StoreError> {
+    match open_raw(path, Purpose::Immutable).and_then(|c| load_site(&c)) {
+        Ok(row) if row.site.generation > 0 => Err(StoreError::ForeignJournal { path: path.to_path_buf() }),
         _ => Ok(()),
     }
 }

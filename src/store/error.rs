@@ -64,6 +64,14 @@ pub enum StoreError {
         /// The store.
         path: PathBuf,
     },
+    /// There is a rollback journal beside the store that belongs to another one.
+    #[error(
+        "{path}: the file {path}-journal beside it belongs to another store; move it away (it is of no use to this one)"
+    )]
+    ForeignJournal {
+        /// The store.
+        path: PathBuf,
+    },
     /// Another writer has it, in this or another process.
     #[error("{path}: is being written by another process{owner}; wait until it is finished, or give --wait")]
     InUse {
@@ -92,8 +100,8 @@ pub enum StoreError {
     },
     /// The place can't be read as it is.
     #[error(
-        "{path}: has uncommitted traces of a writer in {path}-wal but lies on a read-only medium; copy both files to a \
-         writable place and open the copy"
+        "{path}: has uncommitted traces of a writer beside it ({path}-wal or {path}-journal) but lies on a read-only medium; copy \
+         all of them to a writable place and open the copy"
     )]
     NeedsRecovery {
         /// The store.

@@ -23,6 +23,16 @@ pub(super) fn wal_bytes(path: &Path) -> u64 {
     std::fs::metadata(wal(path)).map_or(0, |m| m.len())
 }
 
+/// The rollback journal, which is there while the store is made or first filled.
+pub(super) fn journal(path: &Path) -> PathBuf {
+    beside(path, "-journal")
+}
+
+/// Is there a rollback journal?
+pub(super) fn has_journal(path: &Path) -> bool {
+    std::fs::metadata(journal(path)).is_ok_and(|m| m.len() > 0)
+}
+
 /// The path of a temporary file of an ingest into this store; `tag` tells several apart. What a crash leaves of such
 /// files is removed by the next writer.
 pub fn spill_path(store: &Path, tag: &str) -> PathBuf {

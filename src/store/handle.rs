@@ -3,7 +3,7 @@
 use super::cache::CacheFigures;
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
-use super::files::{beside, wal};
+use super::files::{beside, journal, wal};
 use super::lock::WriterLock;
 use super::model::Site;
 use super::place::{Limits, Place, lock};
@@ -86,7 +86,7 @@ impl Store {
             Err(e) => return Err(io(e)),
         }
         // What lies beside an empty file belongs to a store that was deleted; SQLite would take it for the new one's.
-        for stale in [wal(path), beside(path, "-shm"), beside(path, "-journal")] {
+        for stale in [wal(path), beside(path, "-shm"), journal(path)] {
             match std::fs::remove_file(&stale) {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(io(e)),
                 _ => {}
@@ -107,7 +107,7 @@ impl Store {
     /// # Errors
     ///
     /// [`StoreError::NotThere`], [`StoreError::Directory`], [`StoreError::NotAStore`], [`StoreError::Newer`],
-    /// [`StoreError::ForeignWal`], [`StoreError::NeedsRecovery`], [`StoreError::Damaged`].
+    /// [`StoreError::ForeignWal`], [`StoreError::ForeignJournal`], [`StoreError::NeedsRecovery`], [`StoreError::Damaged`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         Self::open_with(path, Limits::default())
     }

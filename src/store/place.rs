@@ -119,6 +119,11 @@ impl FilePlace {
         }
     }
 
+    /// Closes the read connections that nobody uses.
+    pub fn close_idle(&self) {
+        lock(&self.idle).clear();
+    }
+
     /// Ends the connection's transaction and keeps it for later.
     pub fn give_back(&self, connection: Connection) {
         let ended = connection.is_autocommit() || connection.execute_batch("ROLLBACK").is_ok();

@@ -1,6 +1,6 @@
 //! Laws of the store as a whole.
 
-use super::files::{beside, wal, wal_bytes};
+use super::files::{beside, journal, wal, wal_bytes};
 use super::testing::{content, elsewhere, options, points, prepare, replace, some_points, sorted};
 use super::*;
 use proptest::prelude::*;
@@ -299,6 +299,70 @@ fn a_new_store_replaces_no_file_and_adopts_no_log() {
     std::fs::write(wal(&path), &log).unwrap();
     let before = std::fs::read(&path).unwrap();
     assert!(matches!(Store::open(&path), Err(StoreError::ForeignWal { .. })));
+    assert_eq!(std::fs::read(&path).unwrap(), before);
+}
+
+#[test]
+fn a_first_filling_has_the_file_to_itself_and_then_goes_through_the_log() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let other = || {
+        let connection = Connection::open(&path).unwrap();
+        connection.busy_timeout(Duration::ZERO).unwrap();
+        connection.query_row("SELECT generation FROM site", [], |row| row.get::<_, i64>(0))
+    };
+    let mut writer = store.writer().unwrap();
+    writer.expect_many().unwrap();
+    drop(prepare(&mut writer, some_points(3000), &[]));
+    assert_eq!(other().unwrap_err().sqlite_error_code(), Some(rusqlite::ErrorCode::DatabaseBusy));
+    assert!(journal(&path).exists() && !wal(&path).exists());
+    // Given up, it was never there.
+    drop(writer);
+    assert_eq!(other().unwrap(), 0);
+    let mut writer = store.writer().unwrap();
+    writer.expect_many().unwrap();
+    let change = prepare(&mut writer, some_points(3000), &[]);
+    writer.commit(change).unwrap();
+    assert_eq!(other().unwrap(), 1);
+    assert!(!journal(&path).exists());
+    let held = store.snapshot().unwrap();
+    assert_eq!(content(&held).unwrap(), sorted(some_points(3000)));
+    // From then on readers keep what they have.
+    writer.expect_many().unwrap();
+    let change = prepare(&mut writer, some_points(400), held.scans());
+    assert!(!journal(&path).exists());
+    assert_eq!(other().unwrap(), 1);
+    writer.commit(change).unwrap();
+    assert_eq!((held.generation(), other().unwrap()), (1, 2));
+}
+
+#[test]
+fn who_has_an_empty_store_open_keeps_it_while_it_is_filled() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let held = Store::open(&path).unwrap().snapshot().unwrap();
+    let mut writer = store.writer().unwrap();
+    writer.expect_many().unwrap();
+    let change = prepare(&mut writer, some_points(3000), &[]);
+    assert_eq!(held.scans().len(), 0);
+    assert_eq!(Store::open(&path).unwrap().snapshot().unwrap().generation(), 0);
+    writer.commit(change).unwrap();
+    assert_eq!((held.generation(), store.snapshot().unwrap().generation()), (0, 1));
+}
+
+#[test]
+fn a_journal_beside_a_store_with_content_is_another_ones() {
+    let (_folder, path) = folder();
+    drop(Store::create(&path, options()).unwrap());
+    std::fs::write(journal(&path), "of a deleted store").unwrap();
+    // It may be its own as long as it is empty.
+    let store = Store::open(&path).unwrap();
+    replace(&store, some_points(300));
+    drop(store);
+    std::thread::sleep(Duration::from_millis(150));
+    std::fs::write(journal(&path), "of a deleted store").unwrap();
+    let before = std::fs::read(&path).unwrap();
+    assert!(matches!(Store::open(&path), Err(StoreError::ForeignJournal { .. })));
     assert_eq!(std::fs::read(&path).unwrap(), before);
 }
 

@@ -80,7 +80,7 @@ impl Step {
     /// The state after this symbol, for a state below the limit.
     #[inline]
     fn after(&self, state: u32) -> u32 {
-        let quotient = (u128::from(state) * u128::from(self.reciprocal) >> 64) as u32;
+        let quotient = ((u128::from(state) * u128::from(self.reciprocal)) >> 64) as u32;
         state + u32::from(self.bias) + quotient * u32::from(self.others)
     }
 }

@@ -28,6 +28,6 @@ pub use params::{Params, root_of};
 pub use parts::{LEAST_PART_POINTS, MOST_PARTS, MOST_REPEATED_POINTS, PartPlan, split};
 pub use remove::{Doomed, Matching, Requests};
 pub use step::Step;
-pub use thin::{DetailOrder, DetailPrefix, canonical_order, canonical_prefix, even_order};
+pub use thin::{DetailOrder, EvenPrefix, canonical_order, even_order};
 pub use tree::{MemoryTree, Tree};
 pub use win::{first_win, put_wins, steps, wins};

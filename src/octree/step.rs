@@ -16,7 +16,7 @@ pub struct Step {
 
 impl Step {
     /// How many different steps there are.
-    pub(super) const COUNT: usize = 3 * (BITS as usize + 2);
+    pub const COUNT: usize = 3 * (BITS as usize + 2);
 
     /// The step of a point of this win and group, as a number in the order of detail, below [`Step::COUNT`].
     #[inline]
@@ -29,6 +29,16 @@ impl Step {
     pub(super) fn of_number(number: usize) -> Self {
         let number = number.min(Self::COUNT - 1);
         Self { win: BITS as i8 - (number / 3) as i8, group: (number % 3) as u8 + 1 }
+    }
+
+    /// The step's place in the order of detail, from 0.
+    pub fn ordinal(self) -> u8 {
+        Self::number(self.win, self.group) as u8
+    }
+
+    /// The step with this place; beyond the last the last.
+    pub fn of_ordinal(ordinal: u8) -> Self {
+        Self::of_number(usize::from(ordinal))
     }
 
     /// The last rank of the step's group: with it, `j` = 1, 4 or 7 points of each parent cell are there beside its winner.

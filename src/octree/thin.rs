@@ -73,52 +73,46 @@ pub fn canonical_order<K: SortKey>(keys: &[K], first: i8) -> DetailOrder {
     DetailOrder { order, steps }
 }
 
-/// The first points of an order of detail.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DetailPrefix {
-    /// The points, as indices into the key order, ascending.
-    pub points: Vec<u32>,
-    /// The step of the first point that is not among them; `None` if all are.
-    pub left_out: Option<Step>,
+/// The first numbers of [`even_order`], as a set that takes no memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EvenPrefix {
+    bits: u32,
+    /// With their bits reversed, those below this.
+    limit: u64,
 }
 
-impl DetailPrefix {
-    /// The bound of these points.
-    pub fn bound(&self, metric: &Metric) -> f64 {
-        metric.prefix(self.points.len() as u64, self.left_out)
+impl EvenPrefix {
+    /// The first `taken` of the numbers below `n`; all of them, if there are not so many.
+    ///
+    /// Costs at most as many steps as the order has numbers.
+    pub fn new(n: u64, taken: u64) -> Self {
+        let bits = u64::BITS - n.saturating_sub(1).leading_zeros();
+        let all = 1_u64.checked_shl(bits).unwrap_or(u64::MAX);
+        let mut left = taken;
+        let limit = if taken >= n {
+            all
+        } else {
+            (0..all)
+                .find(|&i| {
+                    let skipped = reversed(i, bits) >= n;
+                    let is_next = !skipped && left == 0;
+                    left -= u64::from(!skipped && left > 0);
+                    is_next
+                })
+                .unwrap_or(all)
+        };
+        Self { bits, limit }
+    }
+
+    /// Is `i`, which is below `n`, among them?
+    pub fn contains(&self, i: u64) -> bool {
+        reversed(i, self.bits) < self.limit
     }
 }
 
-/// The first `capacity` points of [`canonical_order`], as a set: one capacity is answered without ordering the rest.
-///
-/// # Panics
-///
-/// As [`canonical_order`].
-pub fn canonical_prefix<K: SortKey>(keys: &[K], first: i8, capacity: usize) -> DetailPrefix {
-    assert!(u32::try_from(keys.len()).is_ok(), "an order of detail has fewer than 2^32 points");
-    let wins = wins(keys, first);
-    let groups = steps(keys, &wins);
-    let numbers = || wins.iter().zip(&groups).map(|(&win, &group)| Step::number(win, group));
-    let mut counts = [0_usize; Step::COUNT];
-    numbers().for_each(|n| counts[n] += 1);
-    // The step that is cut, and how much of it there is room for.
-    let mut room = capacity;
-    let Some(cut) = (0..Step::COUNT).find(|&n| match room.checked_sub(counts[n]) {
-        Some(left) => {
-            room = left;
-            false
-        }
-        None => true,
-    }) else {
-        return DetailPrefix { points: (0..keys.len() as u32).collect(), left_out: None };
-    };
-    let mut chosen = vec![false; counts[cut]];
-    even_order(counts[cut] as u32).take(room).for_each(|i| chosen[i as usize] = true);
-    let mut chosen = chosen.into_iter();
-    let taken = |n: usize| n < cut || n == cut && chosen.next().unwrap_or(false);
-    let taken: Vec<bool> = numbers().map(taken).collect();
-    let points = (0..).zip(taken).filter(|(_, taken)| *taken).map(|(i, _)| i).collect();
-    DetailPrefix { points, left_out: Some(Step::of_number(cut)) }
+/// The lowest bits of `i` in reverse.
+fn reversed(i: u64, bits: u32) -> u64 {
+    i.reverse_bits().checked_shr(u64::BITS - bits).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -146,6 +140,20 @@ mod tests {
         assert_eq!(even_order(6).collect::<Vec<_>>(), [0, 4, 2, 1, 5, 3]);
     }
 
+    #[test]
+    fn an_even_prefix_has_the_first_numbers_of_the_even_order() {
+        for n in 0..70_u32 {
+            let order: Vec<u32> = even_order(n).collect();
+            for taken in 0..=order.len() + 1 {
+                let prefix = EvenPrefix::new(n.into(), taken as u64);
+                let some: Vec<u32> = (0..n).filter(|&i| prefix.contains(i.into())).collect();
+                let mut expected: Vec<u32> = order.iter().copied().take(taken).collect();
+                expected.sort_unstable();
+                assert_eq!(some, expected, "{taken} of {n}");
+            }
+        }
+    }
+
     proptest! {
         #[test]
         fn the_order_is_a_permutation_by_step_and_then_even(points in points(80)) {
@@ -166,10 +174,6 @@ mod tests {
             prop_assert_eq!(&detail.order, &naive);
             for taken in 0..=naive.len() {
                 prop_assert_eq!(detail.left_out(taken), naive.get(taken).map(|&i| step(i)));
-                let prefix = canonical_prefix(&keys, 48, taken);
-                let mut points = naive[..taken].to_vec();
-                points.sort_unstable();
-                prop_assert_eq!(prefix, DetailPrefix { points, left_out: detail.left_out(taken) });
             }
         }
     }

@@ -3,8 +3,8 @@
 use super::QueryError;
 use super::answer::Answer;
 use super::plan::Plan;
-use super::run::{Task, points, work};
 use super::stream::{Source, Stream};
+use super::task::{Task, points, work};
 use crate::points::{Attribute, Batch};
 use std::sync::Arc;
 

@@ -1,17 +1,17 @@
-//! Answers at a level: the least matching point of every cell that has one (OCTREE section 6).
+//! What nodes give to a level: their points that may be the least matching ones of a cell (OCTREE section 6).
 //!
-//! The unfiltered level is the points of the nodes that sample on these cells or coarser ones. Where the first point of a
-//! cell does not match, the cell is a hole, and the nodes below are searched for its least matching point, as far as they
-//! can still hold one.
+//! The unfiltered level is among the points of the nodes that sample on these cells or coarser ones. Where the first point
+//! of a cell does not match, the cell is a hole, and the nodes below are searched for its least matching point, as far as
+//! they can still hold one.
 
 use super::QueryError;
-use super::part::{Look, Part};
+use super::mask::Mask;
+use super::part::{Found, Look, Part};
 use super::plan::{Plan, Prospect, Scope};
-use super::ties;
+use crate::codec::BLOCK_POINTS;
 use crate::geometry::Containment;
 use crate::lattice::{Cube, Key, LatticeBox, LatticePoint};
 use crate::store::{Node, NodeIx};
-use rayon::prelude::*;
 
 /// A matching point and where it is stored. Within a layer these order as the points do: of equal keys the one in the
 /// coarser node comes first, then the one in the earlier part, and a part keeps the order.
@@ -26,118 +26,82 @@ pub(crate) struct Pick {
 /// With more open cells than this, blocks are not tested against each of them.
 const FEW_HOLES: usize = 64;
 
-/// All matching points, in key order.
-pub(crate) fn everything(plan: &Plan) -> Result<Vec<Pick>, QueryError> {
-    let mut nodes = Vec::new();
-    plan.walk(|node| {
-        nodes.push(node.clone());
-        Ok(true)
-    })?;
-    let read: Vec<Vec<Pick>> = plan.each(nodes, |node| {
-        plan.cancel.check()?;
-        let mut picks = Vec::new();
-        if plan.prospect(&node, Scope::Own)? != Prospect::Nothing {
-            for part in 0..node.parts.len() {
-                read_part(plan, &node, part, None, &mut picks, &mut Vec::new())?;
+/// What a part gave, as it was decoded.
+pub(crate) struct Reading<'a> {
+    pub node: NodeIx,
+    pub part: u32,
+    pub read: Part<'a>,
+    pub found: Vec<Found>,
+}
+
+impl Reading<'_> {
+    /// Calls `each` with the positions of the matching points, in key order.
+    pub fn positions(&self, mut each: impl FnMut(LatticePoint)) {
+        for Found { content, mask, .. } in &self.found {
+            if mask.is_all() {
+                content.positions.iter().for_each(&mut each);
+            } else {
+                mask.indices().into_iter().for_each(|i| each(content.positions.point(i as usize)));
             }
         }
-        Ok(picks)
-    })?;
-    let mut picks = read.concat();
-    picks.par_sort_unstable();
-    ties::settle(plan, &mut picks)?;
-    Ok(picks)
-}
-
-/// The least matching point of every cell of exponent `c` that has one, in key order.
-pub(crate) fn filtered(plan: &Plan, c: u8) -> Result<Vec<Pick>, QueryError> {
-    let mut picks = Vec::new();
-    for root in &plan.roots {
-        // The least of each layer, then the least of all: the union's is among them.
-        picks.extend(level_below(plan, root, root.cube, c, Vec::new(), Vec::new())?);
     }
-    picks.par_sort_unstable();
-    ties::settle(plan, &mut picks)?;
-    picks.dedup_by_key(|p| p.key.prefix(c));
-    Ok(picks)
+
+    /// The places of the matching points in the part, ascending.
+    pub fn indices(&self) -> impl Iterator<Item = u32> + '_ {
+        self.found.iter().flat_map(|f| {
+            let first = (f.block * BLOCK_POINTS) as u32;
+            f.mask.indices().into_iter().map(move |i| first + i)
+        })
+    }
+
+    /// The matching points with their keys.
+    pub fn picks(&self, picks: &mut Vec<Pick>) {
+        let (node, part) = (self.node, self.part);
+        let mut indices = self.indices();
+        self.positions(|point| {
+            let index = indices.next().unwrap_or_default();
+            picks.push(Pick { key: Key::of(point), node, part, index });
+        });
+    }
+
+    /// Keeps those matching points for which `keep`, asked in their order, says so.
+    pub fn narrow(&mut self, mut keep: impl FnMut() -> bool) {
+        for Found { mask, .. } in &mut self.found {
+            let kept = mask.indices().into_iter().filter(|_| keep()).map(|i| i as usize);
+            *mask = Mask::of_indices(mask.len(), kept);
+        }
+        self.found.retain(|f| !f.mask.is_none());
+    }
 }
 
-/// What the nodes at or above a level gave.
+/// What was read of a node at or above a level.
 #[derive(Default)]
-pub(crate) struct Above {
-    pub picks: Vec<Pick>,
+pub(crate) struct Level<'a> {
+    pub readings: Vec<Reading<'a>>,
     /// Cells, by their least key, with a point that does not match.
     pub missed: Vec<Key>,
 }
 
-/// The least matching points of the cells of a subtree, in key order. `picks` and `missed` are what the nodes above it have
-/// in its cube; the former are in the result. `root` is the root of its tree.
-pub(crate) fn level_below(
-    plan: &Plan,
-    top: &Node,
+/// Reads the matching points of a node that may be the least of a cell of exponent `c`, and of an inner node the cells of
+/// those that do not match; all its matching points, if there is no `c`. `root` is the root of the node's tree.
+pub(crate) fn read_node<'a>(
+    plan: &'a Plan,
+    head: &Node,
     root: Cube,
-    c: u8,
-    mut picks: Vec<Pick>,
-    mut missed: Vec<Key>,
-) -> Result<Vec<Pick>, QueryError> {
-    let mut above = Vec::new();
-    let mut frontier = Vec::new();
-    plan.walk_from(vec![top.clone()], |head| {
-        let finer = i16::from(head.cube.k()) < i16::from(c) + i16::from(plan.g);
-        if finer && !head.is_root() {
-            return Ok(false);
-        }
-        above.push(head.clone());
-        let lowest = finer || head.cube.k() == c + plan.g;
-        if lowest && !head.leaf {
-            frontier.push(head.clone());
-        }
-        Ok(!lowest)
-    })?;
-    for read in plan.each(above, |node| read_above(plan, &node, root, c))? {
-        picks.extend(read.picks);
-        missed.extend(read.missed);
-    }
-    picks.sort_unstable();
-    picks.dedup_by_key(|p| p.key.prefix(c));
-    if missed.is_empty() {
-        return Ok(picks);
-    }
-    missed.sort_unstable();
-    missed.dedup();
-    let filled = plan.each(frontier, |node| {
-        let cube = node.cube;
-        let from = missed.partition_point(|m| *m < cube.first_key().floor(c));
-        let to = missed.partition_point(|m| *m <= cube.last_key());
-        let mut holes: Vec<Hole> = missed[from..to].iter().map(|&floor| Hole::new(floor, c, &picks)).collect();
-        fill(plan, &node, c, &mut holes)?;
-        Ok(holes.into_iter().filter_map(|h| h.found).collect::<Vec<_>>())
-    })?;
-    filled.into_iter().for_each(|f| picks.extend(f));
-    picks.sort_unstable();
-    picks.dedup_by_key(|p| p.key.prefix(c));
-    Ok(picks)
-}
-
-/// The matching points of a node at or above the level, at most one a cell, and the cells of those that do not match.
-pub(crate) fn read_above(plan: &Plan, head: &Node, root: Cube, c: u8) -> Result<Above, QueryError> {
+    c: Option<u8>,
+    level: &mut Level<'a>,
+) -> Result<(), QueryError> {
     plan.cancel.check()?;
-    let mut result = Above::default();
     let complete = plan.takes_all_of(head.cube);
-    // The first point of a tree has its root's exponent for a win, and is the least of any larger cell, too.
-    let winning = c.min(root.k()) as i8;
     for (part, facts) in head.parts.iter().enumerate() {
-        // Where everything matches, a point that wins no such cell is the least of none.
-        if complete && facts.first_step.win < winning {
-            continue;
+        // The first point of a tree has its root's exponent for a win, and is the least of any larger cell, too. Where
+        // everything matches, a part whose points win no such cell has the least of none.
+        let loses = c.is_some_and(|c| facts.first_step.win < c.min(root.k()) as i8);
+        if !(complete && loses) {
+            read_part(plan, head, part, c.filter(|_| !complete && !head.leaf), level)?;
         }
-        read_part(plan, head, part, Some((c, !complete && !head.leaf)), &mut result.picks, &mut result.missed)?;
     }
-    result.picks.sort_unstable();
-    if head.cube.k() >= c {
-        result.picks.dedup_by_key(|p| p.key.prefix(c));
-    }
-    Ok(result)
+    Ok(())
 }
 
 /// The box of the cells of exponent `c` that `bounds` meets.
@@ -149,89 +113,98 @@ pub(crate) fn cells_of(bounds: &LatticeBox, c: u8) -> LatticeBox {
     }
 }
 
-/// Appends the matching points of a part; with `misses` also the cells of exponent `c` of those that do not match, as
+/// Appends the matching points of a part; with `misses` also the cells of that exponent of those that do not match, as
 /// far as the cells meet the region.
-fn read_part(
-    plan: &Plan,
+fn read_part<'a>(
+    plan: &'a Plan,
     node: &Node,
     part: usize,
-    cells: Option<(u8, bool)>,
-    picks: &mut Vec<Pick>,
-    missed: &mut Vec<Key>,
+    misses: Option<u8>,
+    level: &mut Level<'a>,
 ) -> Result<(), QueryError> {
     let outside = |bounds: &LatticeBox| plan.region.classify(bounds) == Containment::Outside;
-    let misses = cells.filter(|(_, misses)| *misses).map(|(c, _)| c);
     let skips = |bounds: &LatticeBox| match misses {
         Some(c) => outside(&cells_of(bounds, c)),
         None => outside(bounds),
     };
     let look = Look { skips: &skips, misses: misses.is_some(), positions: true };
-    for found in Part::new(plan, node, part).find(&look)? {
-        let first = (found.block * crate::codec::BLOCK_POINTS) as u32;
-        for i in found.mask.indices() {
-            let key = Key::of(found.content.positions.point(i as usize));
-            picks.push(Pick { key, node: node.ix(), part: part as u32, index: first + i });
-        }
-        let Some(c) = misses else { continue };
-        if found.mask.is_all() {
-            continue;
-        }
-        for (i, point) in found.content.positions.iter().enumerate() {
-            if !found.mask.contains(i) && !outside(&cells_of(&LatticeBox::of(point), c)) {
-                missed.push(Key::of(point).floor(c));
+    let mut read = Part::new(plan, node, part);
+    let mut found = read.find(&look)?;
+    for Found { content, mask, .. } in &found {
+        let Some(c) = misses.filter(|_| !mask.is_all()) else { continue };
+        for (i, point) in content.positions.iter().enumerate() {
+            if !mask.contains(i) && !outside(&cells_of(&LatticeBox::of(point), c)) {
+                level.missed.push(Key::of(point).floor(c));
             }
         }
+    }
+    found.retain(|f| !f.mask.is_none());
+    if !found.is_empty() {
+        level.readings.push(Reading { node: node.ix(), part: part as u32, read, found });
     }
     Ok(())
 }
 
 /// A cell whose first point does not match.
-struct Hole {
+pub(crate) struct Hole {
     /// The least key of the cell.
-    floor: Key,
+    pub floor: Key,
     bounds: LatticeBox,
     /// The key of the least matching point so far.
     best: Option<Key>,
     /// That point, if it was found below.
-    found: Option<Pick>,
+    pub found: Option<Pick>,
 }
 
 impl Hole {
-    fn new(floor: Key, c: u8, picks: &[Pick]) -> Self {
-        let at = picks.partition_point(|p| p.key < floor);
-        let best = picks.get(at).filter(|p| p.key.floor(c) == floor).map(|p| p.key);
+    /// `best` is the least key found in the cell so far.
+    pub fn new(floor: Key, c: u8, best: Option<Key>) -> Self {
         Self { floor, bounds: Cube::containing(floor.point(), c).to_box(), best, found: None }
     }
 
-    /// Can a point of this cube be less than what was found? Of equal keys the one above is less, but that is decided
-    /// when the point is there.
+    /// Can a point of this cube be less than what was found? Which of equal keys is less is decided when the points are
+    /// there.
     fn is_open(&self, cube: Cube, bounds: &LatticeBox) -> bool {
         self.best.is_none_or(|best| best >= self.floor.max(cube.first_key())) && self.bounds.meets(bounds)
     }
 }
 
 /// Searches the nodes below `node` for the least matching points of the holes, which ascend.
-fn fill(plan: &Plan, node: &Node, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
+pub(crate) fn fill(plan: &Plan, node: &Node, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
     let mut children: Vec<Node> = plan.nodes.children(node)?.collect();
     children.sort_by_key(|n| n.cube.first_key());
-    for head in &children {
+    if node.cube.k() > c {
+        // No cell belongs to two of them.
+        let mut jobs = Vec::with_capacity(children.len());
+        let mut rest = holes;
+        for head in children {
+            let cube = head.cube;
+            let (_, after) = rest.split_at_mut(rest.partition_point(|h| h.floor < cube.first_key()));
+            let (own, after) = after.split_at_mut(after.partition_point(|h| h.floor <= cube.last_key()));
+            rest = after;
+            jobs.push((head, own));
+        }
+        return plan.each(jobs, |(head, holes)| fill_child(plan, &head, c, holes)).map(|_: Vec<()>| ());
+    }
+    children.iter().try_for_each(|head| {
         let cube = head.cube;
         let from = holes.partition_point(|h| h.floor < cube.first_key().floor(c));
         let to = holes.partition_point(|h| h.floor <= cube.last_key());
-        let holes = &mut holes[from..to];
-        plan.cancel.check()?;
-        let open = holes.iter().filter(|h| h.is_open(cube, &head.subtree_bounds)).count();
-        if open == 0 || plan.prospect(head, Scope::Subtree)? == Prospect::Nothing {
-            continue;
-        }
-        if plan.prospect(head, Scope::Own)? != Prospect::Nothing {
-            fill_from(plan, head, c, holes, open <= FEW_HOLES)?;
-        }
-        if !head.leaf {
-            fill(plan, head, c, holes)?;
-        }
+        fill_child(plan, head, c, &mut holes[from..to])
+    })
+}
+
+/// Searches a node and those below it.
+fn fill_child(plan: &Plan, head: &Node, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
+    plan.cancel.check()?;
+    let open = holes.iter().filter(|h| h.is_open(head.cube, &head.subtree_bounds)).count();
+    if open == 0 || plan.prospect(head, Scope::Subtree)? == Prospect::Nothing {
+        return Ok(());
     }
-    Ok(())
+    if plan.prospect(head, Scope::Own)? != Prospect::Nothing {
+        fill_from(plan, head, c, holes, open <= FEW_HOLES)?;
+    }
+    if head.leaf { Ok(()) } else { fill(plan, head, c, holes) }
 }
 
 /// Offers the matching points of one node to the holes.
@@ -245,18 +218,15 @@ fn fill_from(plan: &Plan, head: &Node, c: u8, holes: &mut [Hole], few: bool) -> 
                     || few && !holes.iter().any(|h| h.is_open(head.cube, bounds))
             };
             let look = Look { skips: &skips, misses: false, positions: true };
-            for found in Part::new(plan, head, part).find(&look)? {
-                let first = (found.block * crate::codec::BLOCK_POINTS) as u32;
-                for i in found.mask.indices() {
-                    let key = Key::of(found.content.positions.point(i as usize));
-                    candidates.push(Pick { key, node: head.ix(), part: part as u32, index: first + i });
-                }
-            }
+            let mut read = Part::new(plan, head, part);
+            let found = read.find(&look)?;
+            Reading { node: head.ix(), part: part as u32, read, found }.picks(&mut candidates);
         }
         for pick in candidates {
             let floor = pick.key.floor(c);
+            // One that is as good as what was found above is offered, too: that may be of another layer.
             if let Ok(i) = holes.binary_search_by_key(&floor, |h| h.floor)
-                && holes[i].best.is_none_or(|best| pick.key < best)
+                && holes[i].best.is_none_or(|best| pick.key < best || pick.key == best && holes[i].found.is_none())
             {
                 holes[i].best = Some(pick.key);
                 holes[i].found = Some(pick);

@@ -11,6 +11,7 @@ use crate::store::{Node, NodeIx, Snapshot, StoreError};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::fmt;
+use std::sync::Arc;
 
 /// What becomes of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -64,7 +65,7 @@ impl Query {
     /// As [`Query::run`].
     pub fn explain(&self, snapshot: &Snapshot) -> Result<Explanation, QueryError> {
         let answer = self.count(snapshot)?;
-        let plan = Plan::new(self, snapshot)?;
+        let plan = Arc::new(Plan::new(self, snapshot)?);
         let cell = self.detail.cell(plan.root(), plan.g, plan.lattice.quantum_f64())?;
         let nodes = match &self.view {
             Some((camera, max_error_px)) if self.policy == Policy::Screen => {
@@ -145,20 +146,14 @@ fn explain_view(
 
 /// A region, or a view under a filter, which is one more reason to refuse.
 fn explain_region(
-    plan: &Plan,
+    plan: &Arc<Plan>,
     cell: Option<u8>,
     capacity: Option<u64>,
     camera: Option<&Camera>,
 ) -> Result<Vec<ExplainedNode>, QueryError> {
     // Under a capacity the points themselves decide.
     let picked: Option<HashMap<NodeIx, u64>> = match (capacity, camera) {
-        (Some(capacity), None) => {
-            let mut picked = HashMap::new();
-            for pick in capacity::limited(plan, cell, capacity)?.picks {
-                *picked.entry(pick.node).or_default() += 1;
-            }
-            Some(picked)
-        }
+        (Some(capacity), None) => Some(capacity::limited(plan, cell, capacity)?.by_node(plan)?),
         _ => None,
     };
     let seen = camera.map(|camera| (RelativeLattice::new(&plan.lattice, camera.eye()), camera.frustum()));

@@ -20,13 +20,17 @@ mod mask;
 mod nearest;
 mod output;
 mod part;
+mod pieces;
 mod plan;
 mod policy;
 mod region;
 mod request;
 mod run;
+mod seen;
 mod stream;
 mod summary;
+mod take;
+mod task;
 #[cfg(test)]
 mod tests;
 mod thin;

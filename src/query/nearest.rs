@@ -7,7 +7,7 @@ use super::answer::{Meter, Statistics};
 use super::cells::Pick;
 use super::part::{Look, Part};
 use super::plan::{Plan, Prospect, Scope};
-use super::run::{by_part, work};
+use super::task::{by_part, work};
 use super::{Detail, Query, QueryError};
 use crate::codec::BLOCK_POINTS;
 use crate::geometry::Containment;
@@ -109,15 +109,15 @@ impl Query {
 
 /// The points of the candidates, in their order; each place is read once.
 fn gather(plan: &Plan, candidates: &[Candidate]) -> Result<Batch, QueryError> {
-    let mut places: Vec<Pick> = candidates.iter().map(|c| c.pick).collect();
-    let place = |p: &Pick| (p.node, p.part, p.index);
-    places.sort_unstable_by_key(place);
-    places.dedup_by_key(|p| place(p));
+    let place = |c: &Candidate| (c.pick.node, c.pick.part, c.pick.index);
+    let mut places: Vec<_> = candidates.iter().map(place).collect();
+    places.sort_unstable();
+    places.dedup();
     let mut batch = Batch::empty(plan.attributes.clone());
     for read in plan.each(by_part(plan, &places)?, |task| work(plan, task))? {
         batch.append(&read);
     }
-    let row = |c: &Candidate| places.binary_search_by_key(&place(&c.pick), place).unwrap_or_default() as u32;
+    let row = |c: &Candidate| places.binary_search(&place(c)).unwrap_or_default() as u32;
     Ok(batch.gathered(&candidates.iter().map(row).collect::<Vec<_>>()))
 }
 

@@ -2,39 +2,19 @@
 
 use super::answer::{Answer, Meter, Stage};
 use super::batches::{Batches, Prepared};
-use super::capacity::{self, Chosen};
-use super::cells::{Pick, cells_of};
-use super::gaps::{self, Looked};
-use super::part::{Found, Look, Part};
+use super::capacity::{self, Sequence};
+use super::pieces::{Pieces, large_nodes};
 use super::plan::{Plan, Prospect, Scope};
-use super::policy::{Policy, select_by_distance};
-use super::stream::Source;
-use super::thin::{self, Unit, Units};
-use super::view::{RelativeLattice, ViewCut, select};
+use super::seen;
+use super::stream::{Source, Stream};
+use super::task::{PieceTask, Task, by_part, count, points, work};
 use super::{Query, QueryError, Region, Summary};
-use crate::geometry::{Camera, Containment, DVec3};
-use crate::lattice::{Key, LatticeBox};
-use crate::octree::even_order;
 use crate::points::Batch;
 use crate::store::model::PartHead;
-use crate::store::{Node, NodeIx, Snapshot};
-use rayon::prelude::*;
+use crate::store::{Node, Snapshot};
 use std::cmp::Reverse;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-
-/// What is read and handed on together.
-pub(crate) enum Task {
-    /// The matching points of a part.
-    Part { node: NodeIx, part: usize, points: u32, prospect: Prospect },
-    /// Some points of a part, of which all of `points` are read.
-    Picked { node: NodeIx, part: usize, points: u32, indices: Option<Vec<u32>> },
-    /// The points of a level in a subtree.
-    Unit(Unit),
-}
-
-/// Parts that are matched together, in a view under a filter.
-const VIEW_WINDOW: usize = 16;
 
 impl Query {
     /// Runs the query and hands the points to `sink`, in an order that is always the same; `sink` may end it.
@@ -56,6 +36,35 @@ impl Query {
             }
         }
         Ok(batches.answer())
+    }
+
+    /// As [`Query::run`], but every batch is first made something else by `map`, on the threads that decode.
+    ///
+    /// # Errors
+    ///
+    /// As [`Query::run`].
+    pub fn run_mapped<R: Send + 'static>(
+        &self,
+        snapshot: &Snapshot,
+        map: impl Fn(Batch) -> R + Send + Sync + 'static,
+        mut sink: impl FnMut(R) -> ControlFlow<()>,
+    ) -> Result<Answer, QueryError> {
+        let Prepared { plan, source, mut answer } = self.prepare(snapshot, false)?;
+        answer.points = 0;
+        let here = plan.clone();
+        let stream = Stream::new(source, points, plan.threads, move |task| {
+            let batch = work(&here, task)?;
+            let points = batch.len() as u64;
+            Ok((points, (points > 0).then(|| here.meter.time(Stage::Delivering, || map(batch)))))
+        });
+        for mapped in stream {
+            let (points, Some(mapped)) = mapped? else { continue };
+            answer.points += points;
+            if plan.meter.time(Stage::Delivering, || sink(mapped)).is_break() {
+                break;
+            }
+        }
+        Ok(plan.finish(answer))
     }
 
     /// The points as an iterator of batches, in an order that is always the same. Only what is asked for is read, and a
@@ -201,95 +210,48 @@ impl Query {
                     let (what, value) = ("the pixel error", *max_error_px);
                     return Err(QueryError::Detail { what, value, expected: "0 or more" });
                 }
-                let chosen = view(&plan, self, camera, *max_error_px, cell, counting)?;
+                let chosen = seen::view(&plan, self, camera, *max_error_px, cell, counting)?;
                 listed(&mut plan, chosen)
             }
             (None, None, None) => {
                 let all = everything(&mut plan, &self.region, counting)?;
                 listed(&mut plan, all)
             }
-            (None, Some(cell), None) => match plan.roots.as_slice() {
-                [root] => {
-                    let bound = plan.metric().step_bound(cell as i8, 7);
-                    let root = root.clone();
-                    let plan = Arc::new(plan);
-                    let units: Source<Task> = Box::new(Units::new(plan.clone(), root, cell));
-                    return Ok(Prepared { plan, source: units, answer: answer(0, Some(bound)) });
+            (None, Some(cell), None) if plan.roots.len() <= 1 => {
+                let bound = plan.metric().step_bound(cell as i8, 7);
+                let plan = Arc::new(plan);
+                let source = level(&plan, cell)?;
+                return Ok(Prepared { plan, source, answer: answer(0, Some(bound)) });
+            }
+            (None, cell, capacity) => {
+                if let Some(capacity) = capacity {
+                    let enough = cell.is_none() && plan.most_points()?.all <= capacity;
+                    if enough {
+                        let all = everything(&mut plan, &self.region, counting)?;
+                        let (source, answer) = listed(&mut plan, all);
+                        return Ok(Prepared { plan: Arc::new(plan), source, answer });
+                    }
+                    plan.reads(capacity);
                 }
-                // The least of a cell may be of any layer.
-                _ => {
-                    let chosen = plan.meter.time(Stage::Selecting, || capacity::level(&plan, cell))?;
-                    let chosen = picked(&plan, chosen, counting)?;
-                    listed(&mut plan, chosen)
-                }
-            },
-            (None, cell, Some(capacity)) => {
-                let enough = cell.is_none() && plan.most_points()?.all <= capacity;
-                let chosen = if enough {
-                    everything(&mut plan, &self.region, counting)?
-                } else {
-                    let chosen = plan.meter.time(Stage::Selecting, || capacity::limited(&plan, cell, capacity))?;
-                    picked(&plan, chosen, counting)?
-                };
-                listed(&mut plan, chosen)
+                let plan = Arc::new(plan);
+                let sequence = plan.meter.time(Stage::Selecting, || match (cell, capacity) {
+                    (cell, Some(capacity)) => capacity::limited(&plan, cell, capacity),
+                    // The least of a cell may be of any layer.
+                    (Some(cell), None) => capacity::level(&plan, cell),
+                    (None, None) => Err(QueryError::Combination("nothing thins the points")),
+                })?;
+                let answer = answer(sequence.points, sequence.error_bound);
+                let source: Source<Task> =
+                    if counting { Box::new(std::iter::empty()) } else { first_points(&plan, sequence)? };
+                return Ok(Prepared { plan, source, answer });
             }
         };
         Ok(Prepared { plan: Arc::new(plan), source, answer })
     }
 }
 
-/// Does a task.
-pub(crate) fn work(plan: &Plan, task: Task) -> Result<Batch, QueryError> {
-    plan.cancel.check()?;
-    match task {
-        Task::Part { node, part, prospect, .. } => {
-            let mut part = Part::at(plan, node, part)?;
-            if prospect == Prospect::Everything {
-                return if plan.keeps_blocks { part.gather(None) } else { part.whole() };
-            }
-            let found = part.find(&Look { skips: &outside(plan), misses: false, positions: true })?;
-            part.take(&found)
-        }
-        Task::Picked { node, part, points, indices } => {
-            let mut part = Part::at(plan, node, part)?;
-            match indices {
-                Some(indices) if indices.len() < points as usize => part.gather(Some(&indices)),
-                _ if plan.keeps_blocks => part.gather(None),
-                _ => part.whole(),
-            }
-        }
-        Task::Unit(unit) => thin::batch(plan, &unit),
-    }
-}
-
-/// The points that a task takes in, for keeping memory bounded.
-pub(crate) fn points(task: &Task) -> u64 {
-    match task {
-        Task::Part { points, .. } | Task::Picked { points, .. } => u64::from(*points),
-        Task::Unit(unit) => unit.points(),
-    }
-}
-
-/// The points that a task would give.
-fn count(plan: &Plan, task: &Task) -> Result<u64, QueryError> {
-    plan.cancel.check()?;
-    match task {
-        Task::Part { node, part, .. } => {
-            let found =
-                Part::at(plan, *node, *part)?.find(&Look { skips: &outside(plan), misses: false, positions: false })?;
-            Ok(found.iter().map(|f| f.mask.count() as u64).sum())
-        }
-        Task::Picked { points, indices, .. } => Ok(indices.as_ref().map_or(u64::from(*points), |i| i.len() as u64)),
-        Task::Unit(unit) => Ok(thin::picks(plan, unit)?.len() as u64),
-    }
-}
-
 fn answer(points: u64, error_bound: Option<f64>) -> Answer {
     Answer { points, error_bound, ..Answer::default() }
-}
-
-fn outside(plan: &Plan) -> impl Fn(&LatticeBox) -> bool + '_ {
-    |bounds| plan.region.classify(bounds) == Containment::Outside
 }
 
 /// Every matching point.
@@ -302,17 +264,10 @@ fn everything(plan: &mut Plan, region: &Region, counting: bool) -> Result<(Vec<T
     let mut known = 0;
     plan.meter.time(Stage::Selecting, || {
         plan.walk(|node| {
-            let prospect = plan.prospect(node, Scope::Own)?;
-            if prospect == Prospect::Everything && counting {
+            if counting && plan.prospect(node, Scope::Own)? == Prospect::Everything {
                 known += node.own_points;
-            } else if prospect != Prospect::Nothing {
-                Meter::add(&plan.meter.nodes, 1);
-                let k = node.cube.k();
-                let task = |(part, facts): (usize, &PartHead)| {
-                    let (node, points) = (node.ix(), facts.points);
-                    (k, Task::Part { node, part, points, prospect })
-                };
-                tasks.extend(node.parts.iter().enumerate().map(task));
+            } else {
+                parts_of(plan, node, &mut tasks)?;
             }
             Ok(true)
         })
@@ -321,209 +276,59 @@ fn everything(plan: &mut Plan, region: &Region, counting: bool) -> Result<(Vec<T
     Ok((tasks.into_iter().map(|(_, task)| task).collect(), answer(known, Some(0.0))))
 }
 
+/// The parts of a node, as far as something in them may match.
+fn parts_of(plan: &Plan, node: &Node, tasks: &mut Vec<(u8, Task)>) -> Result<(), QueryError> {
+    let prospect = plan.prospect(node, Scope::Own)?;
+    if prospect != Prospect::Nothing {
+        Meter::add(&plan.meter.nodes, 1);
+        let (k, ix) = (node.cube.k(), node.ix());
+        let task =
+            |(part, facts): (usize, &PartHead)| (k, Task::Part { node: ix, part, points: facts.points, prospect });
+        tasks.extend(node.parts.iter().enumerate().map(task));
+    }
+    Ok(())
+}
+
 /// Coarse to fine, so that who stops early has all of it thinned; nodes of one size keep the order of the tree.
 fn coarse_first(tasks: &mut [(u8, Task)]) {
     tasks.sort_by_key(|(k, _)| Reverse(*k));
 }
 
-/// Points that were chosen by their places.
-fn picked(plan: &Plan, chosen: Chosen, counting: bool) -> Result<(Vec<Task>, Answer), QueryError> {
-    let Chosen { mut picks, error_bound } = chosen;
-    let answer = answer(picks.len() as u64, error_bound);
-    if counting {
-        return Ok((Vec::new(), answer));
-    }
-    picks.par_sort_unstable_by_key(|p| (p.node, p.part, p.index));
+/// The points of a level of the only layer.
+fn level(plan: &Arc<Plan>, cell: u8) -> Result<Source<Task>, QueryError> {
     let mut tasks = Vec::new();
-    for task in by_part(plan, &picks)? {
+    // All that match in a large node are the least of their cells.
+    for node in large_nodes(plan, Some(cell))? {
+        parts_of(plan, &node, &mut tasks)?;
+    }
+    coarse_first(&mut tasks);
+    let plan = plan.clone();
+    let mut pieces = Pieces::new(&plan, Some(cell));
+    let pieces = std::iter::from_fn(move || {
+        loop {
+            match pieces.next(&plan) {
+                Ok(piece) => {
+                    let piece = piece?;
+                    if piece.trees.iter().any(|tree| tree.node.is_some()) {
+                        let points = piece.points(&plan);
+                        return Some(Ok(Task::Piece(PieceTask { piece, points, cell: Some(cell), kept: None })));
+                    }
+                }
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    });
+    Ok(Box::new(tasks.into_iter().map(|(_, task)| Ok(task)).chain(pieces)))
+}
+
+/// The first points of a sequence.
+fn first_points(plan: &Arc<Plan>, mut sequence: Sequence) -> Result<Source<Task>, QueryError> {
+    let mut tasks = Vec::new();
+    for task in by_part(plan, &std::mem::take(&mut sequence.above))? {
         let Task::Picked { node, .. } = &task else { continue };
         tasks.push((plan.nodes.node(*node)?.cube.k(), task));
     }
     coarse_first(&mut tasks);
-    let tasks: Vec<Task> = tasks.into_iter().map(|(_, task)| task).collect();
-    let node = |task: &Task| match task {
-        Task::Picked { node, .. } => Some(*node),
-        _ => None,
-    };
-    Meter::add(&plan.meter.nodes, tasks.chunk_by(|a, b| node(a) == node(b)).count() as u64);
-    Ok((tasks, answer))
-}
-
-/// A task for each part; the picks are in the order of the parts.
-pub(crate) fn by_part(plan: &Plan, picks: &[Pick]) -> Result<Vec<Task>, QueryError> {
-    let same = |a: &Pick, b: &Pick| (a.node, a.part) == (b.node, b.part);
-    picks
-        .chunk_by(same)
-        .map(|run| {
-            let (node, part) = (run[0].node, run[0].part as usize);
-            let points = plan.nodes.node(node)?.parts[part].points;
-            Ok(Task::Picked { node, part, points, indices: Some(run.iter().map(|p| p.index).collect()) })
-        })
-        .collect()
-}
-
-/// What a camera needs.
-fn view(
-    plan: &Plan,
-    query: &Query,
-    camera: &Camera,
-    max_error_px: f64,
-    finest: Option<u8>,
-    counting: bool,
-) -> Result<(Vec<Task>, Answer), QueryError> {
-    let (tasks, answer) = if plan.is_unfiltered() && plan.region.is_everything() {
-        let selection = plan.meter.time(Stage::Selecting, || match &query.policy {
-            Policy::Screen => {
-                let all = |_: &Node| Ok::<_, QueryError>(true);
-                let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, all)?;
-                select(&mut cut.no_finer_than(finest), query.capacity)
-            }
-            Policy::Distance(policy) => {
-                select_by_distance(&plan.nodes, &plan.lattice, plan.g, camera, policy, query.capacity)
-            }
-        })?;
-        Meter::add(&plan.meter.nodes_visited, selection.nodes_visited);
-        let picked = selection.parts.iter().map(|selected| {
-            let (node, part) = (selected.node, selected.part as usize);
-            let all = plan.nodes.node(node)?.parts[part].points;
-            let some = || {
-                let mut indices: Vec<u32> = even_order(all).take(selected.points as usize).collect();
-                indices.sort_unstable();
-                indices
-            };
-            Ok(Task::Picked { node, part, points: all, indices: (selected.points < all).then(some) })
-        });
-        let (bound, px) = (selection.error_bound, selection.error_bound_px);
-        let answer = Answer { points: selection.points, error_bound: bound, error_bound_px: px, ..Answer::default() };
-        // Only what is to be delivered is worth listing point by point.
-        (if counting { Vec::new() } else { picked.collect::<Result<_, QueryError>>()? }, answer)
-    } else {
-        if query.policy != Policy::Screen {
-            return Err(QueryError::Combination(
-                "the distance policy counts stored points; leave out filter, region and scans, or --policy",
-            ));
-        }
-        plan.meter.time(Stage::Selecting, || filtered_view(plan, camera, max_error_px, finest, query.capacity))?
-    };
-    let node = |task: &Task| match task {
-        Task::Picked { node, .. } => Some(*node),
-        _ => None,
-    };
-    let nodes: std::collections::BTreeSet<NodeIx> = tasks.iter().filter_map(node).collect();
-    Meter::add(&plan.meter.nodes, nodes.len() as u64);
-    // They are counted once more as they are handed on.
-    if counting { Ok((Vec::new(), answer)) } else { Ok((near_first(plan, camera, tasks)?, answer)) }
-}
-
-/// Near to far, so that who stops early has the foreground. A node comes before those below it, since the bounds of its
-/// subtree hold theirs.
-fn near_first(plan: &Plan, camera: &Camera, tasks: Vec<Task>) -> Result<Vec<Task>, QueryError> {
-    let lattice = RelativeLattice::new(&plan.lattice, camera.eye());
-    let mut placed = Vec::with_capacity(tasks.len());
-    for task in tasks {
-        let Task::Picked { node, part, .. } = &task else { continue };
-        let head = plan.nodes.node(*node)?;
-        let distance = lattice.relative(&head.subtree_bounds).map_or(f64::INFINITY, |b| b.distance_to(DVec3::ZERO));
-        placed.push(((distance.to_bits(), Reverse(head.cube.k()), *node, *part), task));
-    }
-    placed.sort_by_key(|(place, _)| *place);
-    Ok(placed.into_iter().map(|(_, task)| task).collect())
-}
-
-/// The same sequence of parts, of which only the matching points count.
-///
-/// Of each part also the points that do not match are looked at: they say where a coarse point is missing, and so how far
-/// what was left out can be from what was returned.
-fn filtered_view(
-    plan: &Plan,
-    camera: &Camera,
-    max_error_px: f64,
-    finest: Option<u8>,
-    capacity: Option<u64>,
-) -> Result<(Vec<Task>, Answer), QueryError> {
-    let begin = || {
-        let may = |node: &Node| Ok::<_, QueryError>(plan.prospect(node, Scope::Subtree)? != Prospect::Nothing);
-        let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, may)?;
-        Ok::<_, QueryError>(cut.no_finer_than(finest))
-    };
-    let mut cut = begin()?;
-    let mut looked = Looked::default();
-    let mut tasks: Vec<Task> = Vec::new();
-    let mut left = capacity.unwrap_or(u64::MAX);
-    let (mut total, mut parts, mut cut_short) = (0, 0_usize, false);
-    while left > 0 {
-        let window = std::iter::from_fn(|| cut.advance().transpose()).take(VIEW_WINDOW);
-        let window: Vec<(Node, usize)> = window.collect::<Result<_, _>>()?;
-        if window.is_empty() {
-            break;
-        }
-        let matched = plan.each(window.clone(), |(node, part)| matching(plan, &node, part))?;
-        for ((node, part), matched) in window.iter().zip(matched) {
-            if left == 0 {
-                break;
-            }
-            parts += 1;
-            let Matching { mut indices, mut keys, missed } = matched;
-            looked.missed.extend(missed);
-            let all = node.parts[*part].points;
-            if indices.len() as u64 > left {
-                cut_short = true;
-                let place = |i: u32| indices.binary_search(&i).ok();
-                let mut some: Vec<usize> = even_order(all).filter_map(place).take(left as usize).collect();
-                some.sort_unstable();
-                keys = some.iter().map(|&i| keys[i]).collect();
-                indices = some.into_iter().map(|i| indices[i]).collect();
-            }
-            left -= indices.len() as u64;
-            total += indices.len() as u64;
-            looked.returned.extend(keys);
-            if !indices.is_empty() {
-                tasks.push(Task::Picked { node: node.ix(), part: *part, points: all, indices: Some(indices) });
-            }
-        }
-    }
-    Meter::add(&plan.meter.nodes_visited, cut.visited());
-    if left == 0 {
-        // The window went on beyond what was taken: again as far as that.
-        cut = begin()?;
-        for _ in 0..parts {
-            cut.advance()?;
-        }
-        if cut_short {
-            cut.take_back();
-        }
-    }
-    let complete = !cut_short && cut.is_complete();
-    let gaps = cut.gaps();
-    let (bound, px) =
-        if complete { (Some(0.0), Some(0.0)) } else { gaps::bound(looked, &gaps, &plan.metric(), camera) };
-    Ok((tasks, Answer { points: total, error_bound: bound, error_bound_px: px, ..Answer::default() }))
-}
-
-/// What was found in a part.
-struct Matching {
-    /// The points that match, ascending, and their keys.
-    indices: Vec<u32>,
-    keys: Vec<Key>,
-    /// The keys of those that do not, as far as something may match in their cells.
-    missed: Vec<(u16, Key)>,
-}
-
-fn matching(plan: &Plan, node: &Node, part: usize) -> Result<Matching, QueryError> {
-    let cell = node.cube.k().saturating_sub(plan.g);
-    let skips = |bounds: &LatticeBox| outside(plan)(&cells_of(bounds, cell));
-    let look = Look { skips: &skips, misses: true, positions: true };
-    let mut result = Matching { indices: Vec::new(), keys: Vec::new(), missed: Vec::new() };
-    for Found { block, content, mask } in Part::new(plan, node, part).find(&look)? {
-        let first = (block * crate::codec::BLOCK_POINTS) as u32;
-        for (i, point) in content.positions.iter().enumerate() {
-            if mask.contains(i) {
-                result.indices.push(first + i as u32);
-                result.keys.push(Key::of(point));
-            } else {
-                result.missed.push((node.layer, Key::of(point)));
-            }
-        }
-    }
-    Ok(result)
+    let pieces = sequence.tasks(plan.clone()).map(|task| Ok(Task::Piece(task?)));
+    Ok(Box::new(tasks.into_iter().map(|(_, task)| Ok(task)).chain(pieces)))
 }

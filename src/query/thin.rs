@@ -1,150 +1,304 @@
-//! A level of a tree, subtree by subtree: the same points as [`cells::filtered`](super::cells), but never more of them in
-//! memory than a few subtrees have.
-//!
-//! From the root down, nodes are read whole as long as much lies below them. In a node at or above the level every matching
-//! point is the least of its cell, but for leaves, where several may share one. So what a large node gives is final, and
-//! what lies below needs to know only which cells are taken, and which have a first point that does not match.
+//! A thinned piece: the least matching point of every cell in it, in the order of the points.
 
 use super::QueryError;
-use super::cells::{Above, Pick, level_below, read_above};
-use super::plan::{Plan, Prospect, Scope};
-use super::run::{Task, by_part, work};
-use crate::lattice::{Cube, Key};
-use crate::points::Batch;
-use crate::store::Node;
-use std::sync::Arc;
+use super::cells::{Hole, Level, Pick, Reading, fill, read_node};
+use super::pieces::{Above, Piece};
+use super::plan::Plan;
+use super::task::{by_part, work};
+use super::ties;
+use crate::lattice::{Cube, Key, LOW_DIGITS, LatticePoint, SortKey};
+use crate::octree::{Step, put_wins, steps};
+use crate::points::{Batch, Column, Positions};
+use crate::store::{Node, NodeIx};
 
-/// A subtree with at most as many points as so many full leaves is a task of its own.
-const UNIT_LEAVES: u64 = 5;
-
-fn unit_points(plan: &Plan) -> u64 {
-    UNIT_LEAVES * u64::from(plan.snapshot.site().leaf_capacity)
+/// Where some of a piece's points are.
+pub(crate) enum Source<'a> {
+    /// In a node above the piece.
+    Above(Vec<Pick>),
+    /// In a part of it that was read.
+    Read(Reading<'a>),
+    /// Further down, where holes were filled.
+    Filled(Vec<Pick>),
 }
 
-/// A subtree, and what the nodes above it know of its cube.
-pub(crate) struct Unit {
-    node: Node,
+/// The points of a piece that an answer may hold.
+pub(crate) struct Thinned<'a> {
+    plan: &'a Plan,
+    /// Numbered through, in this order: of equal keys in a layer the point with the least number comes first.
+    sources: Vec<Source<'a>>,
+    /// The number of each source's first point, and of all.
+    starts: Vec<u32>,
+    /// The points by number, in key order.
+    pub order: Vec<u32>,
+    /// The step of each, if that was asked for, as if nothing came before the piece.
+    pub steps: Vec<u8>,
+    /// The first key.
+    pub first: Option<Key>,
+}
+
+/// Reads a piece and thins it to cells of exponent `c`; `None`: all points are kept.
+pub(crate) fn thin<'a>(plan: &'a Plan, piece: &Piece, c: Option<u8>, steps: bool) -> Result<Thinned<'a>, QueryError> {
+    // What fits 64 bits is sorted in a third of the time.
+    if piece.cube.k() <= LOW_DIGITS {
+        thin_by(plan, piece, c, steps, |point| point.low_key())
+    } else {
+        thin_by(plan, piece, c, steps, Key::of)
+    }
+}
+
+fn thin_by<'a, K: SortKey>(
+    plan: &'a Plan,
+    piece: &Piece,
+    c: Option<u8>,
+    with_steps: bool,
+    key: impl Fn(LatticePoint) -> K,
+) -> Result<Thinned<'a>, QueryError> {
+    let base = if piece.cube.k() <= LOW_DIGITS { piece.cube.first_key().high } else { 0 };
+    let full = |key: K| {
+        let (high, low) = key.halves();
+        Key { high: base | high, low }
+    };
+    let mut sources = Vec::new();
+    let mut level = Level::default();
+    let mut frontier = Vec::new();
+    for tree in &piece.trees {
+        for above in Above::path(tree.above.as_ref()) {
+            let known = above.known(plan, c)?;
+            sources.push(Source::Above(within(&known.picks, |p| p.key, piece.cube, 0)));
+            if let Some(c) = c {
+                level.missed.extend(within(&known.missed, |m| *m, piece.cube, c));
+            }
+        }
+        if let Some(node) = &tree.node {
+            read_tree(plan, node, tree.root, c, &mut level, &mut frontier)?;
+        }
+    }
+    sources.extend(level.readings.into_iter().map(Source::Read));
+    let mut starts = vec![0];
+    let mut order: Vec<(K, u32)> = Vec::new();
+    let mut number = |sources: &[Source], order: &mut Vec<(K, u32)>| {
+        for source in sources {
+            let mut next = order.len() as u32;
+            let mut push = |key: K| {
+                order.push((key, next));
+                next += 1;
+            };
+            match source {
+                Source::Above(picks) | Source::Filled(picks) => picks.iter().for_each(|p| push(key(p.key.point()))),
+                Source::Read(reading) => reading.positions(|point| push(key(point))),
+            }
+            starts.push(order.len() as u32);
+        }
+    };
+    number(&sources, &mut order);
+    // Stable, since that merges runs that ascend, and all sources do.
+    order.sort();
+    if let Some(c) = c {
+        level.missed.sort_unstable();
+        level.missed.dedup();
+        let filled = filled(plan, &frontier, c, level.missed, |floor| {
+            let at = order.partition_point(|(k, _)| full(*k) < floor);
+            order.get(at).map(|(k, _)| full(*k)).filter(|k| k.floor(c) == floor)
+        })?;
+        if !filled.is_empty() {
+            // In the order of their numbers again, with which `number` goes on.
+            order.sort_unstable_by_key(|(_, at)| *at);
+            let first = sources.len();
+            sources.push(Source::Filled(filled));
+            number(&sources[first..], &mut order);
+            order.sort();
+        }
+    }
+    let mut thinned = Thinned { plan, sources, starts, order: Vec::new(), steps: Vec::new(), first: None };
+    thinned.settle(&mut order, full)?;
+    if let Some(c) = c {
+        let mut previous = None;
+        order.retain(|(key, _)| {
+            let is_first = previous.is_none_or(|p: K| p.differing_digit(*key) >= c as i8);
+            previous = Some(*key);
+            is_first
+        });
+    }
+    thinned.first = order.first().map(|(key, _)| full(*key));
+    if with_steps {
+        let keys: Vec<K> = order.iter().map(|(key, _)| *key).collect();
+        let mut wins = Vec::new();
+        put_wins(&keys, piece.cube.k() as i8, &mut wins);
+        let groups = steps(&keys, &wins);
+        thinned.steps = wins.iter().zip(&groups).map(|(&win, &group)| Step { win, group }.ordinal()).collect();
+    }
+    thinned.order = order.into_iter().map(|(_, at)| at).collect();
+    Ok(thinned)
+}
+
+/// What of an ascending list lies in a cube, or in a cell of exponent `c` that holds it.
+fn within<T: Clone>(all: &[T], key: impl Fn(&T) -> Key, cube: Cube, c: u8) -> Vec<T> {
+    let (first, last) = (cube.first_key().floor(c), cube.last_key());
+    all[all.partition_point(|t| key(t) < first)..all.partition_point(|t| key(t) <= last)].to_vec()
+}
+
+/// Reads the nodes of a tree that have something of a level, and says below which there may be more.
+fn read_tree<'a>(
+    plan: &'a Plan,
+    top: &Node,
+    root: Cube,
+    c: Option<u8>,
+    level: &mut Level<'a>,
+    frontier: &mut Vec<Node>,
+) -> Result<(), QueryError> {
+    let mut above = Vec::new();
+    plan.walk_from(vec![top.clone()], |head| {
+        let Some(c) = c else {
+            above.push(head.clone());
+            return Ok(true);
+        };
+        let finer = i16::from(head.cube.k()) < i16::from(c) + i16::from(plan.g);
+        if finer && !head.is_root() {
+            return Ok(false);
+        }
+        above.push(head.clone());
+        let lowest = finer || head.cube.k() == c + plan.g;
+        if lowest && !head.leaf {
+            frontier.push(head.clone());
+        }
+        Ok(!lowest)
+    })?;
+    above.iter().try_for_each(|node| read_node(plan, node, root, c, level))
+}
+
+/// The least matching points below the frontier in cells that are missed, ascending; `best` is the least key that was
+/// found in one.
+fn filled(
+    plan: &Plan,
+    frontier: &[Node],
     c: u8,
-    known: Arc<Known>,
-    points: u64,
-}
-
-/// Ascending.
-#[derive(Default)]
-struct Known {
-    /// The matching points of the nodes above.
-    picks: Vec<Pick>,
-    /// The cells with a point above that does not match.
     missed: Vec<Key>,
-}
-
-impl Known {
-    fn inside(&self, cube: Cube, c: u8) -> Self {
-        let (first, last) = (cube.first_key(), cube.last_key());
-        let picks = self.picks.partition_point(|p| p.key < first)..self.picks.partition_point(|p| p.key <= last);
-        // A cell may be larger than the cube.
-        let floor = first.floor(c);
-        let missed = self.missed.partition_point(|m| *m < floor)..self.missed.partition_point(|m| *m <= last);
-        Self { picks: self.picks[picks].to_vec(), missed: self.missed[missed].to_vec() }
+    best: impl Fn(Key) -> Option<Key>,
+) -> Result<Vec<Pick>, QueryError> {
+    let mut picks = Vec::new();
+    if missed.is_empty() {
+        return Ok(picks);
     }
-}
-
-impl Unit {
-    /// The points that are read for it, or that it can give.
-    pub fn points(&self) -> u64 {
-        self.points
+    for node in frontier {
+        let cube = node.cube;
+        let from = missed.partition_point(|m| *m < cube.first_key().floor(c));
+        let to = missed.partition_point(|m| *m <= cube.last_key());
+        let mut holes: Vec<Hole> = missed[from..to].iter().map(|&floor| Hole::new(floor, c, best(floor))).collect();
+        fill(plan, node, c, &mut holes)?;
+        picks.extend(holes.into_iter().filter_map(|h| h.found));
     }
-}
-
-/// The tasks of a level, in pre-order.
-pub(crate) struct Units {
-    plan: Arc<Plan>,
-    c: u8,
-    /// Subtrees that are still to come, the next one last.
-    open: Vec<(Node, Arc<Known>)>,
-    /// Tasks that are ready, the next one last.
-    ready: Vec<Task>,
-}
-
-impl Units {
-    pub fn new(plan: Arc<Plan>, root: Node, c: u8) -> Self {
-        Self { plan, c, open: vec![(root, Arc::default())], ready: Vec::new() }
-    }
-
-    /// Takes the next subtree apart; false if there is none.
-    fn advance(&mut self) -> Result<bool, QueryError> {
-        let Some((node, known)) = self.open.pop() else { return Ok(false) };
-        let (plan, c) = (&self.plan, self.c);
-        plan.cancel.check()?;
-        if plan.prospect(&node, Scope::Subtree)? == Prospect::Nothing {
-            return Ok(true);
-        }
-        let lowest = i16::from(node.cube.k()) <= i16::from(c) + i16::from(plan.g);
-        if lowest || node.leaf || node.subtree_points <= unit_points(plan) {
-            let points = node.subtree_points.min(unit_points(plan));
-            self.ready.push(Task::Unit(Unit { node, c, known, points }));
-            return Ok(true);
-        }
-        let root = plan.root().unwrap_or(node.cube);
-        let Above { picks, missed } = read_above(plan, &node, root, c)?;
-        let mut all = Known { picks: known.picks.clone(), missed: known.missed.clone() };
-        all.picks.extend_from_slice(&picks);
-        all.picks.sort_unstable();
-        all.missed.extend(missed);
-        all.missed.sort_unstable();
-        all.missed.dedup();
-        let children: Vec<Node> = plan.nodes.children(&node)?.collect();
-        self.open.extend(children.into_iter().rev().map(|child| {
-            let known = all.inside(child.cube, c);
-            (child, Arc::new(known))
-        }));
-        let mut picks = picks;
-        picks.sort_unstable_by_key(|p| (p.node, p.part, p.index));
-        self.ready.extend(by_part(plan, &picks)?.into_iter().rev());
-        Ok(true)
-    }
-}
-
-impl Iterator for Units {
-    type Item = Result<Task, QueryError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some(task) = self.ready.pop() {
-                return Some(Ok(task));
-            }
-            match self.advance() {
-                Ok(true) => {}
-                Ok(false) => return None,
-                Err(error) => return Some(Err(error)),
-            }
-        }
-    }
-}
-
-/// The points of a unit, in the order of nodes, parts and places.
-pub(crate) fn picks(plan: &Plan, unit: &Unit) -> Result<Vec<Pick>, QueryError> {
-    let Unit { node, c, known, .. } = unit;
-    let mut picks =
-        level_below(plan, node, plan.root().unwrap_or(node.cube), *c, known.picks.clone(), known.missed.clone())?;
-    // Those from above have been given already.
-    let own = node.subtree();
-    picks.retain(|pick| own.contains(&pick.node));
-    picks.sort_unstable_by_key(|p| (p.node, p.part, p.index));
+    picks.sort();
     Ok(picks)
 }
 
-/// The same as a batch.
-pub(crate) fn batch(plan: &Plan, unit: &Unit) -> Result<Batch, QueryError> {
-    let picks = picks(plan, unit)?;
-    let mut all = Batch::empty(plan.attributes.clone());
-    for task in by_part(plan, &picks)? {
-        let batch = work(plan, task)?;
-        if all.is_empty() {
-            all = batch;
-        } else {
-            all.append(&batch);
+impl Thinned<'_> {
+    /// Puts runs of equal keys of several layers into the canonical order of points.
+    fn settle<K: SortKey>(&self, order: &mut [(K, u32)], full: impl Fn(K) -> Key) -> Result<(), QueryError> {
+        if self.plan.roots.len() < 2 {
+            return Ok(());
+        }
+        let mut tied: Vec<(Pick, u32)> = Vec::new();
+        for run in order.chunk_by(|a, b| a.0 == b.0).filter(|run| run.len() > 1) {
+            tied.extend(run.iter().map(|&(key, at)| (self.pick(full(key), at), at)));
+        }
+        let mut picks: Vec<Pick> = tied.iter().map(|(pick, _)| *pick).collect();
+        ties::settle(self.plan, &mut picks)?;
+        tied.sort_unstable_by_key(|(pick, _)| *pick);
+        let mut settled = picks.iter().filter_map(|pick| {
+            let i = tied.binary_search_by_key(pick, |(pick, _)| *pick).ok()?;
+            Some(tied[i].1)
+        });
+        for run in order.chunk_by_mut(|a, b| a.0 == b.0).filter(|run| run.len() > 1) {
+            for (_, at) in run {
+                *at = settled.next().unwrap_or(*at);
+            }
+        }
+        Ok(())
+    }
+
+    /// The source of a point, and its place there.
+    fn place(&self, at: u32) -> (usize, usize) {
+        let source = self.starts.partition_point(|&start| start <= at) - 1;
+        (source, (at - self.starts[source]) as usize)
+    }
+
+    fn pick(&self, key: Key, at: u32) -> Pick {
+        let (source, i) = self.place(at);
+        match &self.sources[source] {
+            Source::Above(picks) | Source::Filled(picks) => picks[i],
+            Source::Read(reading) => {
+                let index = reading.indices().nth(i).unwrap_or_default();
+                Pick { key, node: reading.node, part: reading.part, index }
+            }
         }
     }
-    Ok(all)
+
+    /// Where a point is, if that is in a node above the piece.
+    pub fn above(&self, at: u32) -> Option<Pick> {
+        let (source, i) = self.place(at);
+        match &self.sources[source] {
+            Source::Above(picks) => Some(picks[i]),
+            _ => None,
+        }
+    }
+
+    /// Which of the numbered points are in the answer.
+    fn taken(&self, keep: impl Fn(usize) -> bool) -> Vec<bool> {
+        let mut taken = vec![false; self.starts.last().map_or(0, |&end| end as usize)];
+        for (i, &at) in self.order.iter().enumerate() {
+            taken[at as usize] = keep(i);
+        }
+        taken
+    }
+
+    /// How many points of each node are in the answer, those above the piece left out; `keep` says so of each by its place
+    /// in the order.
+    pub fn count(&self, keep: impl Fn(usize) -> bool) -> Vec<(NodeIx, u64)> {
+        let taken = self.taken(keep);
+        let mut counts = Vec::new();
+        for (source, range) in self.sources.iter().zip(self.starts.windows(2)) {
+            let taken = &taken[range[0] as usize..range[1] as usize];
+            let number = |taken: &[bool]| taken.iter().map(|&t| u64::from(t)).sum::<u64>();
+            match source {
+                Source::Above(_) => {}
+                Source::Read(reading) => counts.push((reading.node, number(taken))),
+                Source::Filled(picks) => {
+                    counts.extend(picks.iter().zip(taken).map(|(pick, &t)| (pick.node, u64::from(t))));
+                }
+            }
+        }
+        counts
+    }
+
+    /// The points with the attributes asked for, in the order of nodes, those above the piece left out.
+    pub fn batch(self, keep: impl Fn(usize) -> bool) -> Result<Batch, QueryError> {
+        let plan = self.plan;
+        let taken = self.taken(keep);
+        let count = taken.iter().filter(|t| **t).count();
+        let mut all = Batch::empty(plan.attributes.clone());
+        all.positions = Positions::with_capacity(count);
+        all.columns = plan.columns.iter().map(|c| Column::with_capacity(c.attribute.ty, count)).collect();
+        for (source, range) in self.sources.into_iter().zip(self.starts.windows(2)) {
+            let taken = &taken[range[0] as usize..range[1] as usize];
+            match source {
+                Source::Above(_) => {}
+                Source::Read(mut reading) => {
+                    if taken.contains(&false) {
+                        let mut taken = taken.iter().copied();
+                        reading.narrow(|| taken.next().unwrap_or(false));
+                    }
+                    reading.read.take_into(&reading.found, &mut all)?;
+                }
+                Source::Filled(picks) => {
+                    let taken = picks.iter().zip(taken).filter(|(_, taken)| **taken);
+                    let mut places: Vec<_> = taken.map(|(p, _)| (p.node, p.part, p.index)).collect();
+                    places.sort_unstable();
+                    for task in by_part(plan, &places)? {
+                        all.append(&work(plan, task)?);
+                    }
+                }
+            }
+        }
+        Ok(all)
+    }
 }

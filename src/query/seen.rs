@@ -1,0 +1,185 @@
+//! Answers for a camera: selected from node rows alone, or, under a filter, part by part.
+
+use super::answer::{Answer, Meter, Stage};
+use super::cells::cells_of;
+use super::gaps::{self, Looked};
+use super::part::{Found, Look, Part};
+use super::plan::{Plan, Prospect, Scope};
+use super::policy::{Policy, select_by_distance};
+use super::task::{Task, outside};
+use super::view::{RelativeLattice, ViewCut, select};
+use super::{Query, QueryError};
+use crate::geometry::{Camera, DVec3};
+use crate::lattice::{Key, LatticeBox};
+use crate::octree::even_order;
+use crate::store::{Node, NodeIx};
+use std::cmp::Reverse;
+
+/// Parts that are matched together, in a view under a filter.
+const VIEW_WINDOW: usize = 16;
+
+/// What a camera needs.
+pub(crate) fn view(
+    plan: &Plan,
+    query: &Query,
+    camera: &Camera,
+    max_error_px: f64,
+    finest: Option<u8>,
+    counting: bool,
+) -> Result<(Vec<Task>, Answer), QueryError> {
+    let (tasks, answer) = if plan.is_unfiltered() && plan.region.is_everything() {
+        let selection = plan.meter.time(Stage::Selecting, || match &query.policy {
+            Policy::Screen => {
+                let all = |_: &Node| Ok::<_, QueryError>(true);
+                let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, all)?;
+                select(&mut cut.no_finer_than(finest), query.capacity)
+            }
+            Policy::Distance(policy) => {
+                select_by_distance(&plan.nodes, &plan.lattice, plan.g, camera, policy, query.capacity)
+            }
+        })?;
+        Meter::add(&plan.meter.nodes_visited, selection.nodes_visited);
+        let picked = selection.parts.iter().map(|selected| {
+            let (node, part) = (selected.node, selected.part as usize);
+            let all = plan.nodes.node(node)?.parts[part].points;
+            let some = || {
+                let mut indices: Vec<u32> = even_order(all).take(selected.points as usize).collect();
+                indices.sort_unstable();
+                indices
+            };
+            Ok(Task::Picked { node, part, points: all, indices: (selected.points < all).then(some) })
+        });
+        let (bound, px) = (selection.error_bound, selection.error_bound_px);
+        let answer = Answer { points: selection.points, error_bound: bound, error_bound_px: px, ..Answer::default() };
+        // Only what is to be delivered is worth listing point by point.
+        (if counting { Vec::new() } else { picked.collect::<Result<_, QueryError>>()? }, answer)
+    } else {
+        if query.policy != Policy::Screen {
+            return Err(QueryError::Combination(
+                "the distance policy counts stored points; leave out filter, region and scans, or --policy",
+            ));
+        }
+        plan.meter.time(Stage::Selecting, || filtered_view(plan, camera, max_error_px, finest, query.capacity))?
+    };
+    let node = |task: &Task| match task {
+        Task::Picked { node, .. } => Some(*node),
+        _ => None,
+    };
+    let nodes: std::collections::BTreeSet<NodeIx> = tasks.iter().filter_map(node).collect();
+    Meter::add(&plan.meter.nodes, nodes.len() as u64);
+    // They are counted once more as they are handed on.
+    if counting { Ok((Vec::new(), answer)) } else { Ok((near_first(plan, camera, tasks)?, answer)) }
+}
+
+/// Near to far, so that who stops early has the foreground. A node comes before those below it, since the bounds of its
+/// subtree hold theirs.
+fn near_first(plan: &Plan, camera: &Camera, tasks: Vec<Task>) -> Result<Vec<Task>, QueryError> {
+    let lattice = RelativeLattice::new(&plan.lattice, camera.eye());
+    let mut placed = Vec::with_capacity(tasks.len());
+    for task in tasks {
+        let Task::Picked { node, part, .. } = &task else { continue };
+        let head = plan.nodes.node(*node)?;
+        let distance = lattice.relative(&head.subtree_bounds).map_or(f64::INFINITY, |b| b.distance_to(DVec3::ZERO));
+        placed.push(((distance.to_bits(), Reverse(head.cube.k()), *node, *part), task));
+    }
+    placed.sort_by_key(|(place, _)| *place);
+    Ok(placed.into_iter().map(|(_, task)| task).collect())
+}
+
+/// The same sequence of parts, of which only the matching points count.
+///
+/// Of each part also the points that do not match are looked at: they say where a coarse point is missing, and so how far
+/// what was left out can be from what was returned.
+fn filtered_view(
+    plan: &Plan,
+    camera: &Camera,
+    max_error_px: f64,
+    finest: Option<u8>,
+    capacity: Option<u64>,
+) -> Result<(Vec<Task>, Answer), QueryError> {
+    let begin = || {
+        let may = |node: &Node| Ok::<_, QueryError>(plan.prospect(node, Scope::Subtree)? != Prospect::Nothing);
+        let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, may)?;
+        Ok::<_, QueryError>(cut.no_finer_than(finest))
+    };
+    let mut cut = begin()?;
+    let mut looked = Looked::default();
+    let mut tasks: Vec<Task> = Vec::new();
+    let mut left = capacity.unwrap_or(u64::MAX);
+    let (mut total, mut parts, mut cut_short) = (0, 0_usize, false);
+    while left > 0 {
+        let window = std::iter::from_fn(|| cut.advance().transpose()).take(VIEW_WINDOW);
+        let window: Vec<(Node, usize)> = window.collect::<Result<_, _>>()?;
+        if window.is_empty() {
+            break;
+        }
+        let matched = plan.each(window.clone(), |(node, part)| matching(plan, &node, part))?;
+        for ((node, part), matched) in window.iter().zip(matched) {
+            if left == 0 {
+                break;
+            }
+            parts += 1;
+            let Matching { mut indices, mut keys, missed } = matched;
+            looked.missed.extend(missed);
+            let all = node.parts[*part].points;
+            if indices.len() as u64 > left {
+                cut_short = true;
+                let place = |i: u32| indices.binary_search(&i).ok();
+                let mut some: Vec<usize> = even_order(all).filter_map(place).take(left as usize).collect();
+                some.sort_unstable();
+                keys = some.iter().map(|&i| keys[i]).collect();
+                indices = some.into_iter().map(|i| indices[i]).collect();
+            }
+            left -= indices.len() as u64;
+            total += indices.len() as u64;
+            looked.returned.extend(keys);
+            if !indices.is_empty() {
+                tasks.push(Task::Picked { node: node.ix(), part: *part, points: all, indices: Some(indices) });
+            }
+        }
+    }
+    Meter::add(&plan.meter.nodes_visited, cut.visited());
+    if left == 0 {
+        // The window went on beyond what was taken: again as far as that.
+        cut = begin()?;
+        for _ in 0..parts {
+            cut.advance()?;
+        }
+        if cut_short {
+            cut.take_back();
+        }
+    }
+    let complete = !cut_short && cut.is_complete();
+    let gaps = cut.gaps();
+    let (bound, px) =
+        if complete { (Some(0.0), Some(0.0)) } else { gaps::bound(looked, &gaps, &plan.metric(), camera) };
+    Ok((tasks, Answer { points: total, error_bound: bound, error_bound_px: px, ..Answer::default() }))
+}
+
+/// What was found in a part.
+struct Matching {
+    /// The points that match, ascending, and their keys.
+    indices: Vec<u32>,
+    keys: Vec<Key>,
+    /// The keys of those that do not, as far as something may match in their cells.
+    missed: Vec<(u16, Key)>,
+}
+
+fn matching(plan: &Plan, node: &Node, part: usize) -> Result<Matching, QueryError> {
+    let cell = node.cube.k().saturating_sub(plan.g);
+    let skips = |bounds: &LatticeBox| outside(plan)(&cells_of(bounds, cell));
+    let look = Look { skips: &skips, misses: true, positions: true };
+    let mut result = Matching { indices: Vec::new(), keys: Vec::new(), missed: Vec::new() };
+    for Found { block, content, mask } in Part::new(plan, node, part).find(&look)? {
+        let first = (block * crate::codec::BLOCK_POINTS) as u32;
+        for (i, point) in content.positions.iter().enumerate() {
+            if mask.contains(i) {
+                result.indices.push(first + i as u32);
+                result.keys.push(Key::of(point));
+            } else {
+                result.missed.push((node.layer, Key::of(point)));
+            }
+        }
+    }
+    Ok(result)
+}

@@ -6,17 +6,19 @@ mod las;
 mod number;
 mod numpy;
 mod ply;
+mod raster;
 mod rows;
 
 pub use destination::remove_unfinished;
 pub use las::CreationDate;
+pub use raster::{Raster, RasterFormat, write_raster};
 
 use super::FormatError;
 use crate::lattice::Lattice;
 use crate::points::{Attribute, Batch, Crs, LasFacts};
 use csv::{CsvSink, CsvWriter};
 use destination::Destination;
-use las::{LasOptions, LasWriter};
+use las::{LasOptions, LasWriter, Records};
 use numpy::{NpyWriter, NpzWriter};
 use ply::PlyWriter;
 use std::fs::File;
@@ -190,9 +192,35 @@ impl<W: PointWriter> PointWriter for Checked<W> {
         written
     }
 
+    fn packer(&self) -> Arc<dyn Packer> {
+        let (shown, attributes) = (self.shown.clone(), self.attributes.clone());
+        Arc::new(CheckedPacker { packer: self.writer.packer(), attributes, shown })
+    }
+
+    fn write_packed(&mut self, packed: Packed) -> Result<(), FormatError> {
+        self.usable()?;
+        let written = self.writer.write_packed(packed);
+        self.failed = written.is_err();
+        written
+    }
+
     fn finish(self: Box<Self>) -> Result<Vec<String>, FormatError> {
         self.usable()?;
         self.writer.finish()
+    }
+}
+
+/// A packer that is given nothing but what the plan announced.
+struct CheckedPacker {
+    packer: Arc<dyn Packer>,
+    attributes: Arc<[Attribute]>,
+    shown: PathBuf,
+}
+
+impl Packer for CheckedPacker {
+    fn pack(&self, batch: Batch) -> Result<Packed, FormatError> {
+        check_batch(&batch, &self.attributes, &self.shown)?;
+        self.packer.pack(batch)
     }
 }
 
@@ -208,6 +236,47 @@ fn check_batch(batch: &Batch, attributes: &[Attribute], shown: &Path) -> Result<
     Err(FormatError::Unwritable { path: shown.into(), reason: "a batch has other columns than announced".into() })
 }
 
+/// A batch in the form in which a writer appends it with the least work: made by its [`Packer`].
+pub struct Packed(Form);
+
+enum Form {
+    Points(Batch),
+    Records(Records),
+}
+
+impl Packed {
+    fn records(records: Records) -> Self {
+        Self(Form::Records(records))
+    }
+
+    /// Records, or the batch if there are none.
+    fn into_records(self) -> Result<Records, Batch> {
+        match self.0 {
+            Form::Records(records) => Ok(records),
+            Form::Points(batch) => Err(batch),
+        }
+    }
+}
+
+/// The part of a writer's work that does not depend on what came before: batches may be packed on several threads.
+pub trait Packer: Send + Sync {
+    /// Packs a batch for [`PointWriter::write_packed`] of the writer that this packer is of.
+    ///
+    /// # Errors
+    ///
+    /// [`FormatError::Unwritable`] if a value or a coordinate does not fit.
+    fn pack(&self, batch: Batch) -> Result<Packed, FormatError>;
+}
+
+/// For writers that have nothing to do before.
+struct AsItIs;
+
+impl Packer for AsItIs {
+    fn pack(&self, batch: Batch) -> Result<Packed, FormatError> {
+        Ok(Packed(Form::Points(batch)))
+    }
+}
+
 /// A file that is being written: it appears under its name when it is finished, or not at all.
 pub trait PointWriter {
     /// Appends the points of a batch.
@@ -216,6 +285,26 @@ pub trait PointWriter {
     ///
     /// [`FormatError::Io`] if the disk refuses, [`FormatError::Unwritable`] if a coordinate does not fit.
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError>;
+
+    /// Packs batches for this writer.
+    fn packer(&self) -> Arc<dyn Packer> {
+        Arc::new(AsItIs)
+    }
+
+    /// Appends the points of a batch that its [`PointWriter::packer`] has packed.
+    ///
+    /// # Errors
+    ///
+    /// As [`PointWriter::write`].
+    fn write_packed(&mut self, packed: Packed) -> Result<(), FormatError> {
+        match packed.into_records() {
+            Err(batch) => self.write(&batch),
+            Ok(_) => Err(FormatError::Unwritable {
+                path: PathBuf::new(),
+                reason: "was given what was packed for another writer".into(),
+            }),
+        }
+    }
 
     /// Completes header and tables, and gives the file its name. Returns what a user should know about the file.
     ///

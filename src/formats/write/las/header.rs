@@ -84,6 +84,25 @@ impl Default for Totals {
     }
 }
 
+impl Totals {
+    /// Takes in those of other points.
+    pub fn add(&mut self, other: &Self) {
+        self.points += other.points;
+        self.by_return.iter_mut().zip(other.by_return).for_each(|(all, n)| *all += n);
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(other.min[axis]);
+            self.max[axis] = self.max[axis].max(other.max[axis]);
+        }
+        other.time.into_iter().for_each(|(least, greatest)| self.note_times(least, greatest));
+    }
+
+    /// Takes in a range of finite times.
+    pub fn note_times(&mut self, least: f64, greatest: f64) {
+        let (a, b) = self.time.unwrap_or((least, greatest));
+        self.time = Some((a.min(least), b.max(greatest)));
+    }
+}
+
 impl Header {
     /// Bytes of the public header block.
     fn header_bytes(&self) -> u16 {

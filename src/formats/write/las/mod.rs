@@ -9,7 +9,7 @@ mod plan;
 
 use super::destination::Destination;
 use super::rows::{self, Slot};
-use super::{LasTarget, OutputPlan, PointWriter};
+use super::{LasTarget, OutputPlan, Packed, Packer, PointWriter};
 use crate::formats::FormatError;
 use crate::points::{Attribute, Batch, Column};
 use encoder::Encoder;
@@ -19,6 +19,7 @@ use integers::{BLOCK, Integers};
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::ops::Range;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Bytes of records that are collected before they are written.
@@ -36,18 +37,33 @@ pub(super) struct LasOptions {
     pub points: Option<u64>,
 }
 
+/// Records of a LAS file, and what its header says of them.
+pub(super) struct Records {
+    bytes: Vec<u8>,
+    totals: Totals,
+}
+
+/// How points become records; the same for all batches, so several may be packed at once.
+struct Packing {
+    integers: Integers,
+    attributes: Arc<[Attribute]>,
+    slots: Vec<Slot>,
+    point_format: u8,
+    stride: usize,
+    /// Where the return number is, and its mask.
+    returns: (usize, u8),
+    /// The column of GPS times, if the header wants their range.
+    times: Option<usize>,
+    /// What messages call the file.
+    shown: PathBuf,
+}
+
 /// Writes a LAS or LAZ file.
 pub(super) struct LasWriter {
     encoder: Encoder,
     header: Header,
     totals: Totals,
-    integers: Integers,
-    attributes: Arc<[Attribute]>,
-    slots: Vec<Slot>,
-    /// Where the return number is, and its mask.
-    returns: (usize, u8),
-    /// The column of GPS times, if the header wants their range.
-    times: Option<usize>,
+    packing: Arc<Packing>,
     /// Whole records.
     buffer: Vec<u8>,
     buffer_bytes: usize,
@@ -90,40 +106,89 @@ impl LasWriter {
         let record_bytes = usize::from(header.record_bytes);
         let encoder = Encoder::new(file, &header).map_err(|e| e.into_format_error(&destination))?;
         let buffer_bytes = encoder.preferred_bytes(record_bytes).unwrap_or(BUFFER_BYTES / record_bytes * record_bytes);
-        Ok(Self {
-            returns: (14, if header.point_format < 6 { 7 } else { 15 }),
+        let packing = Packing {
+            integers,
             attributes: output.attributes.clone(),
+            slots,
+            point_format: header.point_format,
+            stride: record_bytes,
+            returns: (14, if header.point_format < 6 { 7 } else { 15 }),
+            times,
+            shown: destination.shown().into(),
+        };
+        Ok(Self {
+            packing: Arc::new(packing),
             buffer: Vec::with_capacity(buffer_bytes),
             totals: Totals::default(),
             destination,
             encoder,
             header,
-            integers,
-            slots,
-            times,
             buffer_bytes,
             notes,
         })
     }
 
-    fn stride(&self) -> usize {
-        usize::from(self.header.record_bytes)
+    /// Appends records that were packed.
+    fn append(&mut self, records: &Records) -> Result<(), FormatError> {
+        let points = self.totals.points.saturating_add(records.totals.points);
+        check_count(&self.header, points).map_err(|reason| self.destination.unwritable(reason))?;
+        self.totals.add(&records.totals);
+        let mut rest = &records.bytes[..];
+        while !rest.is_empty() {
+            // What fills the buffer need not go through it.
+            if self.buffer.is_empty() && rest.len() >= self.buffer_bytes {
+                let (now, later) = rest.split_at(self.buffer_bytes);
+                self.encoder.write(now).map_err(|e| e.into_format_error(&self.destination))?;
+                rest = later;
+                continue;
+            }
+            let (now, later) = rest.split_at(rest.len().min(self.buffer_bytes - self.buffer.len()));
+            self.buffer.extend_from_slice(now);
+            rest = later;
+            if self.buffer.len() >= self.buffer_bytes {
+                self.flush()?;
+            }
+        }
+        Ok(())
     }
 
-    /// Appends points `range`, at most [`BLOCK`], to the buffer, which has room for them.
-    fn append_block(&mut self, batch: &Batch, range: Range<usize>) -> Result<(), FormatError> {
-        let stride = self.stride();
-        let start = self.buffer.len();
-        self.buffer.resize(start + range.len() * stride, 0);
-        let rows = &mut self.buffer[start..];
+    fn flush(&mut self) -> Result<(), FormatError> {
+        let written = self.encoder.write(&self.buffer);
+        self.buffer.clear();
+        written.map_err(|e| e.into_format_error(&self.destination))
+    }
+}
+
+impl Packing {
+    fn records(&self, batch: &Batch) -> Result<Records, FormatError> {
+        let mut totals = Totals { points: batch.len() as u64, ..Totals::default() };
+        self.note_times(batch, &mut totals);
+        let mut bytes = vec![0; batch.len() * self.stride];
+        for start in (0..batch.len()).step_by(BLOCK) {
+            let range = start..batch.len().min(start + BLOCK);
+            let rows = &mut bytes[range.start * self.stride..range.end * self.stride];
+            self.put_block(batch, range, rows, &mut totals)?;
+        }
+        Ok(Records { bytes, totals })
+    }
+
+    /// Puts points `range`, at most [`BLOCK`], into rows that are zero.
+    fn put_block(
+        &self,
+        batch: &Batch,
+        range: Range<usize>,
+        rows: &mut [u8],
+        totals: &mut Totals,
+    ) -> Result<(), FormatError> {
+        let stride = self.stride;
         let mut integers = [0; BLOCK];
         let positions = [&batch.positions.x, &batch.positions.y, &batch.positions.z];
         for (axis, indices) in positions.into_iter().enumerate() {
-            self.integers.convert(axis, &indices[range.clone()], &mut integers, &self.destination)?;
+            self.integers.convert(axis, &indices[range.clone()], &mut integers, &self.shown)?;
             let integers = &integers[..range.len()];
             let (min, max) = integers.iter().fold((i32::MAX, i32::MIN), |(a, b), &x| (a.min(x), b.max(x)));
-            self.totals.min[axis] = self.totals.min[axis].min(min);
-            self.totals.max[axis] = self.totals.max[axis].max(max);
+            totals.min[axis] = totals.min[axis].min(min);
+            totals.max[axis] = totals.max[axis].max(max);
             for (row, x) in rows.chunks_exact_mut(stride).zip(integers) {
                 row[4 * axis..4 * axis + 4].copy_from_slice(&x.to_le_bytes());
             }
@@ -131,11 +196,12 @@ impl LasWriter {
         for slot in &self.slots {
             rows::put(*slot, &batch.columns[slot.column], range.clone(), rows, stride).map_err(|too_large| {
                 let name = &self.attributes[slot.column].name;
-                let (value, largest, format) = (too_large.value, too_large.largest, self.header.point_format);
-                self.destination.unwritable(format!(
+                let (value, largest, format) = (too_large.value, too_large.largest, self.point_format);
+                let reason = format!(
                     "{name} {value} does not fit LAS point format {format}, which holds 0 to {largest}; \
                      leave the attribute out, or write PLY or CSV"
-                ))
+                );
+                FormatError::Unwritable { path: self.shown.clone(), reason }
             })?;
         }
         // Four counters each, so that equal neighbours do not wait for each other.
@@ -144,25 +210,21 @@ impl LasWriter {
         for (i, row) in rows.chunks_exact(stride).enumerate() {
             counts[i % 4][usize::from(row[at] & mask)] += 1;
         }
-        for (number, total) in self.totals.by_return.iter_mut().enumerate() {
+        for (number, total) in totals.by_return.iter_mut().enumerate() {
             *total += counts.iter().map(|c| u64::from(c[number + 1])).sum::<u64>();
         }
-        self.totals.points += range.len() as u64;
         Ok(())
     }
 
-    fn note_times(&mut self, batch: &Batch) {
+    fn note_times(&self, batch: &Batch, totals: &mut Totals) {
         let Some(Column::F64(times)) = self.times.map(|t| &batch.columns[t]) else { return };
-        for &time in times.iter().filter(|t| t.is_finite()) {
-            let (least, greatest) = self.totals.time.unwrap_or((time, time));
-            self.totals.time = Some((least.min(time), greatest.max(time)));
-        }
+        times.iter().filter(|t| t.is_finite()).for_each(|&time| totals.note_times(time, time));
     }
+}
 
-    fn flush(&mut self) -> Result<(), FormatError> {
-        let written = self.encoder.write(&self.buffer);
-        self.buffer.clear();
-        written.map_err(|e| e.into_format_error(&self.destination))
+impl Packer for Packing {
+    fn pack(&self, batch: Batch) -> Result<Packed, FormatError> {
+        Ok(Packed::records(self.records(&batch)?))
     }
 }
 
@@ -178,20 +240,19 @@ fn check_count(header: &Header, points: u64) -> Result<(), String> {
 
 impl PointWriter for LasWriter {
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
-        let points = self.totals.points.saturating_add(batch.len() as u64);
-        check_count(&self.header, points).map_err(|reason| self.destination.unwritable(reason))?;
-        self.note_times(batch);
-        let mut next = 0;
-        while next < batch.len() {
-            let room = (self.buffer_bytes - self.buffer.len()) / self.stride();
-            let end = batch.len().min(next + BLOCK.min(room));
-            self.append_block(batch, next..end)?;
-            next = end;
-            if self.buffer.len() >= self.buffer_bytes {
-                self.flush()?;
-            }
+        let records = self.packing.records(batch)?;
+        self.append(&records)
+    }
+
+    fn packer(&self) -> Arc<dyn Packer> {
+        self.packing.clone()
+    }
+
+    fn write_packed(&mut self, packed: Packed) -> Result<(), FormatError> {
+        match packed.into_records() {
+            Ok(records) => self.append(&records),
+            Err(batch) => self.write(&batch),
         }
-        Ok(())
     }
 
     fn finish(mut self: Box<Self>) -> Result<Vec<String>, FormatError> {

@@ -57,13 +57,13 @@ fn print(snapshot: &Snapshot, info: &Description) -> std::io::Result<()> {
     if info.in_use {
         output::line("in use       yes: don't copy the file now")?;
     }
-    output::line(format_args!("{:32} {:8} {:>12} {:>12}", "attribute", "type", "bytes", "bytes/point"))?;
-    for AttributeCost { name, ty, bytes } in &info.attributes {
-        output::line(format_args!(
-            "{:32} {ty:8} {bytes:>12} {:>12.3}",
-            output::clean(name),
-            per_point(*bytes, info.points)
-        ))?;
+    let (name, ty, bytes, each) = ("attribute", "type", "bytes", "bytes/point");
+    output::line(format_args!("{name:32} {ty:8} {bytes:>12} {each:>12} {:>18} {:>18}", "min", "max"))?;
+    for AttributeCost { name, ty, bytes, range } in &info.attributes {
+        let [min, max] = range.map_or([String::new(), String::new()], |range| range.map(|v| v.to_string()));
+        let each = per_point(*bytes, info.points);
+        let line = format!("{:32} {ty:8} {bytes:>12} {each:>12.3} {min:>18} {max:>18}", output::clean(name));
+        output::line(line.trim_end())?;
     }
     let overhead = info.bytes_total.saturating_sub(info.bytes_encoded);
     output::line(format_args!(

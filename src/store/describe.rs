@@ -2,10 +2,12 @@
 
 use super::error::StoreError;
 use super::info::info;
-use super::model::Scan;
+use super::model::{Range, Scan, Slot, Zones};
 use super::snapshot::Snapshot;
 use crate::lattice::{BITS, Decimal, Lattice, LatticeBox, LatticePoint};
+use crate::points::Attribute;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// What a store holds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -86,6 +88,10 @@ pub struct AttributeCost {
     pub ty: &'static str,
     /// Bytes of its encoded columns.
     pub bytes: u64,
+    /// The least and the greatest value, scaled, NaN left out; `None` where the zone maps cannot tell: of positions, and of
+    /// attributes that have a value for "no data".
+    #[serde(rename = "min_max", skip_serializing_if = "Option::is_none")]
+    pub range: Option<[f64; 2]>,
 }
 
 /// A scan of a store.
@@ -134,6 +140,22 @@ pub struct RejectedDescription {
     pub truncated: u64,
 }
 
+/// The scaled range of an attribute over all layers.
+fn range_of(slot: Slot, attribute: &Attribute, zones: &[Arc<Zones>]) -> Option<[f64; 2]> {
+    let of_layer = |zones: &Arc<Zones>| {
+        let found = zones.subtree.binary_search_by_key(&slot, |z| z.0).ok()?;
+        let [a, b] = match zones.subtree[found].1 {
+            Range::Unsigned(a, b) => [a as f64, b as f64],
+            Range::Signed(a, b) => [a as f64, b as f64],
+            Range::Float(a, b) => [a, b],
+            Range::OnlyNan => return None,
+        };
+        let [a, b] = attribute.scaling.map_or([a, b], |s| [a, b].map(|v| v * s.scale + s.offset));
+        Some([a.min(b), a.max(b)])
+    };
+    zones.iter().filter_map(of_layer).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+}
+
 /// Describes a store; reads its index, no points.
 ///
 /// # Errors
@@ -144,11 +166,14 @@ pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
     let site = snapshot.site();
     let root = site.roots.iter().flatten().map(|r| r.k()).max();
     let spacing = |k: u8| site.lattice.largest_quantum() * 2_f64.powi(i32::from(k) - i32::from(site.g));
+    let nodes = snapshot.nodes();
+    let zones = nodes.roots()?.iter().map(|root| nodes.zones(root)).collect::<Result<Vec<_>, _>>()?;
     let stored = info.attribute_bytes.iter().filter_map(|&(slot, bytes)| {
         let attribute = &snapshot.attribute(slot)?.attribute;
-        Some(AttributeCost { name: attribute.name.clone(), ty: attribute.ty.word(), bytes })
+        let range = (attribute.no_data.is_none()).then(|| range_of(slot, attribute, &zones)).flatten();
+        Some(AttributeCost { name: attribute.name.clone(), ty: attribute.ty.word(), bytes, range })
     });
-    let cost = |name: &str, ty, bytes| std::iter::once(AttributeCost { name: name.into(), ty, bytes });
+    let cost = |name: &str, ty, bytes| std::iter::once(AttributeCost { name: name.into(), ty, bytes, range: None });
     let attributes = cost("position", "3 x u48", info.position_bytes).chain(stored);
     Ok(Description {
         points: info.points,

@@ -2,7 +2,7 @@
 
 use crate::errors::{Failure, bad_query};
 use esker::geometry::Camera;
-use esker::query::{Detail, Filter, Query, QueryError, Region};
+use esker::query::{Detail, Filter, Policy, Query, QueryError, Region};
 use esker::store::Snapshot;
 use pyo3::prelude::*;
 
@@ -30,6 +30,8 @@ pub struct Options {
     /// A view file's JSON.
     view: Option<String>,
     max_error_px: f64,
+    /// As the command line takes it.
+    policy: Option<String>,
     max_error: Option<f64>,
     spacing: Option<f64>,
     level: Option<i64>,
@@ -80,6 +82,12 @@ impl Options {
         if let Some(json) = &self.view {
             let camera: Camera = serde_json::from_str(json).map_err(|e| bad_query(format!("this is no view: {e}")))?;
             query = query.view(camera, self.max_error_px);
+        }
+        if let Some(text) = &self.policy {
+            if self.view.is_none() {
+                return Err(bad_query("a policy says how a view spreads its points; give a view"));
+            }
+            query = query.policy(Policy::parse(text).map_err(Failure::from)?);
         }
         if let Some(detail) = self.detail()? {
             query = query.detail(detail);

@@ -160,6 +160,13 @@ impl Reader {
         json(&found(answer)?)
     }
 
+    /// JSON: what `esker query --explain --json` prints.
+    fn explain(&self, py: Python<'_>, options: Options) -> PyResult<String> {
+        let (snapshot, query, cancel) = self.asked(py, &options)?;
+        let explanation = interruptible(py, || cancel.cancel(), quietly, || query.explain(&snapshot))?;
+        json(&found(explanation)?)
+    }
+
     /// JSON: what `esker query --json` prints.
     fn summary(&self, py: Python<'_>, options: Options) -> PyResult<String> {
         let (snapshot, query, cancel) = self.asked(py, &options)?;

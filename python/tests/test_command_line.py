@@ -41,6 +41,7 @@ KINDS = [
     (["--attributes", "none"], {"attributes": []}),
     (["--view", "VIEW"], {"view": VIEW}),
     (["--view", "VIEW", "--max-error-px", "3", "--capacity", "9000"], {"view": VIEW, "max_error_px": 3, "capacity": 9000}),
+    (["--view", "VIEW", "--policy", "distance,amount=2", "--capacity", "9000"], {"view": VIEW, "policy": "distance,amount=2", "capacity": 9000}),
 ]
 
 
@@ -77,6 +78,16 @@ def test_info_scans_and_summary_are_the_command_lines(site, report_of):
     for word in ("points", "error_bound", "region_misses_site", "attributes"):
         assert ours[word] == theirs[word]
     assert ours.keys() == theirs.keys()
+
+
+def test_explanations_are_the_command_lines(site, program):
+    for arguments, keywords in [
+        (["--capacity", "5000"], {"capacity": 5000}),
+        (["--where", "Z > 502", "--spacing", "1"], {"where": "Z > 502", "spacing": 1}),
+    ]:
+        text, _ = program("query", site.path, *arguments, "--explain", "--json")
+        ours, theirs = site.store.explain(**keywords), json.loads(text)
+        assert ours["nodes"] == theirs["nodes"] and ours["answer"]["points"] == theirs["answer"]["points"]
 
 
 def test_a_view_file_will_do(site, tmp_path):

@@ -13,6 +13,7 @@ import pytest
     "keywords, error, message",
     [
         ({"box": (0, 0, 1)}, esker.QueryError, "a box has 4 numbers"),
+        ({"policy": "distance"}, esker.QueryError, "give a view"),
         ({"box": (5, 0, 1, 1)}, esker.QueryError, "the box has x from 5 to 1; give the smaller number first"),
         ({"box": (0, 0, float("nan"), 1)}, esker.QueryError, "NaN"),
         ({"box": "0,0,1,1"}, TypeError, "box must be numbers"),

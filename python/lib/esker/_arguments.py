@@ -19,6 +19,7 @@ DEFAULTS = {
     "scans": None,
     "view": None,
     "max_error_px": 1.0,
+    "policy": None,
     "max_error": None,
     "spacing": None,
     "level": None,
@@ -134,6 +135,7 @@ def query(given):
     full["scans"] = names(full["scans"], "scans")
     full["attributes"] = names(full["attributes"], "attributes")
     full["view"] = view(full["view"])
+    full["policy"] = text(full["policy"], "policy")
     for word in ("level", "capacity"):
         if full[word] is not None:
             full[word] = whole(full[word], word)

@@ -37,6 +37,7 @@ class QueryKeywords(TypedDict, total=False):
     scans: Names
     view: Union[PathLike, Dict[str, Any]]
     max_error_px: float
+    policy: str
     max_error: float
     spacing: float
     level: int
@@ -145,6 +146,7 @@ class Reader:
         scans: Optional[Names] = None,
         view: Optional[Union[PathLike, Dict[str, Any]]] = None,
         max_error_px: float = 1.0,
+        policy: Optional[str] = None,
         max_error: Optional[float] = None,
         spacing: Optional[float] = None,
         level: Optional[int] = None,
@@ -191,6 +193,9 @@ class Reader:
             One point in each cell of at most this side; of this level.
         ``view``, ``max_error_px``
             What a camera needs: a view file, or its content as a dict (``eye``, ``target``, ``size``, ...).
+        ``policy``
+            How a view spreads its points: ``"screen"``, by their error in pixels, or ``"distance"``, by ratios that fall with
+            distance: ``"distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=10"``.
         ``capacity``
             At most so many points, with any of these: an even thinning.
 
@@ -267,6 +272,15 @@ class Reader:
         20000
         """
         return json.loads(self._reader.count(_arguments.query(keywords)))["points"]
+
+    def explain(self, **keywords: Unpack[QueryKeywords]) -> Dict[str, Any]:
+        """Why each node is taken, tested, refused or cut for an answer, as the command line's ``query --explain --json``.
+
+        >>> explanation = store.explain(capacity=1000)
+        >>> sum(node["taken"] for node in explanation["nodes"]), explanation["nodes"][0]["verdict"]
+        (1000, 'taken')
+        """
+        return json.loads(self._reader.explain(_arguments.query(keywords)))
 
     def summary(self, **keywords: Unpack[QueryKeywords]) -> Dict[str, Any]:
         """What the command line's ``query --json`` says of an answer: its error bound, what it cost, and least, greatest

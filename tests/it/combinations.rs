@@ -4,6 +4,7 @@
 use crate::answers::hausdorff;
 use crate::support::{Random, RawLas, data_folder, esker_ok, las_like};
 use esker::geometry::{Camera, DVec3, Projection};
+use esker::ingest::{IngestOptions, LatticeWish, ingest};
 use esker::lattice::{Key, Lattice, LatticePoint, SourceGrid, SourceMap};
 use esker::query::{Detail, Filter, Polygons, Query, Region};
 use esker::store::{Snapshot, Store};
@@ -16,6 +17,8 @@ struct Point {
     at: LatticePoint,
     key: Key,
     intensity: u16,
+    /// Synthetic, key point, withheld, overlap.
+    flags: u8,
     scan: usize,
 }
 
@@ -35,8 +38,23 @@ struct Site {
     _folder: tempfile::TempDir,
 }
 
-/// A site of some thousand points of a file.
-fn site(path: &Path, hidden: Option<usize>) -> Site {
+/// Sets the flags of a record to some that look random.
+fn flag(record: &mut [u8], point_format: u8) -> u8 {
+    let mix = record.iter().fold(7_u64, |m, b| (m ^ u64::from(*b)).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    // Each in a fourth of the points.
+    let some = |shift: u64| u8::from(mix >> shift & 3 == 0);
+    let flags = some(40) | some(44) << 1 | some(48) << 2 | some(52) << 3;
+    if point_format < 6 {
+        record[15] = record[15] & 31 | flags << 5;
+        flags & 7
+    } else {
+        record[15] = record[15] & !15 | flags;
+        flags
+    }
+}
+
+/// A site of some thousand points of a file, in few large nodes or in many small ones.
+fn site(path: &Path, hidden: Option<usize>, small: bool) -> Site {
     let folder = tempfile::tempdir().unwrap();
     let name = |n: &str| folder.path().join(n).to_str().unwrap().to_owned();
     esker_ok(&["ingest", &name("whole.esker"), path.to_str().unwrap()]);
@@ -58,8 +76,10 @@ fn site(path: &Path, hidden: Option<usize>) -> Site {
         .records
         .iter()
         .map(|r| {
-            let at = place(r, &lattice);
-            (Point { at, key: Key::of(at), intensity: u16::from_le_bytes([r[12], r[13]]), scan: 0 }, r.clone())
+            let (at, mut record) = (place(r, &lattice), r.clone());
+            let flags = flag(&mut record, h.point_data_record_format);
+            let intensity = u16::from_le_bytes([r[12], r[13]]);
+            (Point { at, key: Key::of(at), intensity, flags, scan: 0 }, record)
         })
         .collect();
     records.sort_by_key(|(p, _)| p.key);
@@ -78,9 +98,18 @@ fn site(path: &Path, hidden: Option<usize>) -> Site {
         fs::write(name(&format!("{file}.las")), las_like(&original, &own)).unwrap();
     }
     let store = name("site.esker");
-    let lattice_of = name("whole.esker");
-    esker_ok(&["ingest", &store, &name("north.las"), &name("south.las"), "--lattice", &lattice_of]);
-    esker_ok(&["ingest", &store, &name("winners.las")]);
+    let phase = lattice.phase().map(|p| p.to_f64());
+    let wish = LatticeWish { quantum: Some(lattice.quantum_f64()), phase: Some(phase) };
+    let mut options = IngestOptions { lattice: wish, ..IngestOptions::default() };
+    if small {
+        (options.g, options.leaf_capacity) = (3, 40);
+    }
+    let put = |names: &[&str]| {
+        let files: Vec<_> = names.iter().map(|n| folder.path().join(n)).collect();
+        ingest(Path::new(&store), &files, &options, &()).unwrap();
+    };
+    put(&["north.las", "south.las"]);
+    put(&["winners.las"]);
     if let Some(hidden) = hidden {
         esker_ok(&["hide", &store, SCANS[hidden]]);
     }
@@ -178,7 +207,7 @@ impl Site {
     /// A filter, and what it means.
     fn filter(&self, random: &mut Random) -> (Option<String>, Matches) {
         let level = self.any(random).intensity;
-        match random.below(8) {
+        match random.below(11) {
             0 => (Some(format!("Intensity > {level}")), Box::new(move |p| p.intensity > level)),
             1 => (
                 Some(format!("not Intensity in ({level}, 3)")),
@@ -194,6 +223,15 @@ impl Site {
                 (Some(text.collect::<Vec<_>>().join(" and ")), Box::new(move |p| p.at == one))
             }
             4 => (Some("scan <> 'south'".into()), Box::new(|p| p.scan != 1)),
+            5 => (
+                Some("scan in ('north', 'winners') and Withheld = 0".into()),
+                Box::new(|p| p.scan != 1 && p.flags & 4 == 0),
+            ),
+            6 => (Some("Synthetic = 1 or not KeyPoint = 1".into()), Box::new(|p| p.flags & 1 == 1 || p.flags & 2 == 0)),
+            7 => (
+                Some(format!("withheld = 1 and Intensity <= {level}")),
+                Box::new(move |p| p.flags & 4 == 4 && p.intensity <= level),
+            ),
             _ => (None, Box::new(|_| true)),
         }
     }
@@ -297,7 +335,8 @@ fn random_combinations_equal_brute_force() {
         esker_ok(&["generate", kind, "--points", "40000", "-o", path.to_str().unwrap()]);
         paths.push(path);
     }
-    let sites: Vec<Site> = paths.iter().flat_map(|p| [site(p, None), site(p, Some(2))]).collect();
+    let sites: Vec<Site> =
+        (0..).zip(&paths).flat_map(|(i, p)| [site(p, None, i % 2 == 0), site(p, Some(2), i % 2 == 1)]).collect();
     let mut random = Random(17);
     let mut kinds: HashMap<bool, usize> = HashMap::new();
     for n in 0..cases {

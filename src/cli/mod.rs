@@ -3,15 +3,19 @@
 
 mod changing;
 mod compact;
+mod density;
 mod digest;
 mod generate;
 mod info;
 mod ingest;
+mod interrupt;
 mod merge;
+mod nearest;
 mod output;
 mod output_plan;
 mod progress;
 mod query;
+mod region;
 mod remove;
 #[cfg(feature = "render")]
 mod render;
@@ -23,6 +27,7 @@ mod verify;
 #[cfg(feature = "viewer")]
 mod view;
 mod visibility;
+mod which;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -67,6 +72,8 @@ enum Command {
     Merge(merge::Arguments),
     Info(info::Arguments),
     Query(query::Arguments),
+    Nearest(nearest::Arguments),
+    Density(density::Arguments),
     #[cfg(feature = "render")]
     Render(render::Arguments),
     #[cfg(feature = "viewer")]
@@ -92,6 +99,8 @@ pub fn main() -> ExitCode {
         Command::Merge(a) => merge::run(&a),
         Command::Info(a) => info::run(&a),
         Command::Query(a) => query::run(&a),
+        Command::Nearest(a) => nearest::run(&a),
+        Command::Density(a) => density::run(&a),
         #[cfg(feature = "render")]
         Command::Render(a) => render::run(&a),
         #[cfg(feature = "viewer")]
@@ -106,11 +115,15 @@ pub fn main() -> ExitCode {
         Ok(Outcome::Damaged) => ExitCode::FAILURE,
         Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            let interrupted = error
-                .downcast_ref::<crate::ingest::IngestError>()
-                .is_some_and(|e| matches!(e, crate::ingest::IngestError::Interrupted));
             eprintln!("esker: {}", output::one_line(&error));
-            ExitCode::from(if interrupted { EXIT_INTERRUPTED } else { 1 })
+            ExitCode::from(if is_interrupted(&error) { EXIT_INTERRUPTED } else { 1 })
         }
     }
+}
+
+/// Did Ctrl-C end the command?
+fn is_interrupted(error: &anyhow::Error) -> bool {
+    use crate::{ingest::IngestError, query::QueryError};
+    error.downcast_ref::<IngestError>().is_some_and(|e| matches!(e, IngestError::Interrupted))
+        || error.downcast_ref::<QueryError>().is_some_and(|e| matches!(e, QueryError::Cancelled))
 }

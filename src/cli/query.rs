@@ -1,15 +1,15 @@
 //! `esker query`: points out, by region, filter and detail.
 
-mod region;
 mod split;
 
 use super::output_plan::{Planned, deepen, plan};
 use super::scan_frame::ScanFrame;
+use super::which::{Which, with_attributes};
 use super::{Outcome, output, values};
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
 use crate::geometry::Camera;
 use crate::points::Attribute;
-use crate::query::{Answer, AttributeSummary, Detail, Filter, Policy, Query, Region};
+use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
 use crate::store::{Limits, Snapshot, Store, WorldBounds};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
@@ -45,7 +45,7 @@ pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
     #[command(flatten)]
-    place: region::Where,
+    which: Which,
     /// What a camera needs: a view file in JSON.
     #[arg(long, value_name = "VIEW.json")]
     view: Option<PathBuf>,
@@ -56,12 +56,6 @@ pub(super) struct Arguments {
     /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.
     #[arg(long, value_name = "POLICY", requires = "view")]
     policy: Option<String>,
-    /// Only points for which this is true, such as 'Classification in (2, 9)'.
-    #[arg(long = "where", value_name = "EXPR")]
-    filter: Option<String>,
-    /// Only this scan, by name or id; may be given several times.
-    #[arg(long = "scan", value_name = "NAME")]
-    scans: Vec<String>,
     /// As few points as keep every matching point within D of one of them, in CRS units.
     #[arg(long, value_name = "D", value_parser = values::not_negative, conflicts_with_all = ["spacing", "level"])]
     max_error: Option<f64>,
@@ -108,7 +102,7 @@ pub(super) struct Arguments {
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum Format {
+pub(super) enum Format {
     Las,
     Laz,
     Ply,
@@ -151,7 +145,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     }
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
-    let region = arguments.place.region(&snapshot.site().lattice)?;
+    let region = arguments.which.region(&snapshot)?;
     let query = query(arguments, region.clone())?;
     if arguments.explain {
         let explanation = query.explain(&snapshot)?;
@@ -196,7 +190,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
+pub(super) fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
     if let Some(format) = given {
         return Ok(format.into());
     }
@@ -210,13 +204,7 @@ fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
 }
 
 fn query(arguments: &Arguments, region: Region) -> anyhow::Result<Query> {
-    let mut query = Query::new().region(region);
-    if let Some(text) = &arguments.filter {
-        query = query.filter(Filter::parse(text)?);
-    }
-    if !arguments.scans.is_empty() {
-        query = query.scans(arguments.scans.iter().cloned());
-    }
+    let mut query = arguments.which.query(region)?;
     if let Some(path) = &arguments.view {
         let camera = read_view(path)?;
         query = query.view(camera, arguments.max_error_px);
@@ -234,12 +222,7 @@ fn query(arguments: &Arguments, region: Region) -> anyhow::Result<Query> {
     if let Some(capacity) = arguments.capacity {
         query = query.capacity(capacity);
     }
-    match arguments.attributes.as_slice() {
-        [] => {}
-        [none] if none.eq_ignore_ascii_case("none") => query = query.positions_only(),
-        names => query = query.attributes(names.iter().map(|n| n.trim().to_owned())),
-    }
-    Ok(query)
+    Ok(with_attributes(query, &arguments.attributes))
 }
 
 /// Reads a view file.
@@ -260,7 +243,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
             );
         }
     }
-    if arguments.place.closed || !matches!(region, Region::Box { .. }) {
+    if arguments.which.place.closed || !matches!(region, Region::Box { .. }) {
         return Ok(());
     }
     let on_faces = match answer.on_maximum_faces {
@@ -401,11 +384,15 @@ fn write(
 ) -> anyhow::Result<Answer> {
     let (Output { planned, frame, .. }, mut writer) = output_of(arguments, snapshot, query, path, format)?;
     let query = query.clone().with_scans(!planned.brighten.is_empty());
-    let mut failure = None;
-    let answer = query.run(snapshot, |mut batch| {
+    let packer = writer.packer();
+    let pack = move |mut batch| {
         deepen(&mut batch, &planned);
-        let moved = frame.as_ref().map_or(Ok(()), |f| f.apply(&mut batch));
-        match moved.and_then(|()| Ok(writer.write(&batch)?)) {
+        frame.as_ref().map_or(Ok(()), |f| f.apply(&mut batch))?;
+        Ok::<_, anyhow::Error>(packer.pack(batch)?)
+    };
+    let mut failure = None;
+    let answer = query.run_mapped(snapshot, pack, |packed| {
+        match packed.and_then(|packed| Ok(writer.write_packed(packed)?)) {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
                 failure = Some(error);

@@ -14,6 +14,7 @@ mod histories;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;
+mod places;
 mod poses;
 mod readers;
 #[cfg(feature = "stream")]

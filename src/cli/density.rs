@@ -1,0 +1,139 @@
+//! `esker density`: how many points lie where, and how high, as a raster.
+
+use super::which::Which;
+use super::{Outcome, output, values};
+use crate::formats::{Raster, RasterFormat, write_raster};
+use crate::query::Density;
+use crate::store::{Limits, Store};
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// Counts points in squares, and finds the lowest and highest of each.
+///
+/// Without -o it says how many squares there are and how full they are. Nodes that lie in one square are counted without
+/// reading a point.
+#[derive(Debug, Args)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  esker density site.esker --side 1\n  esker density site.esker --side 0.5 -o density.asc\n  \
+                  esker density site.esker --side 1 --where 'Classification = 2' --value lowest -o ground.asc\n  \
+                  esker density site.esker --side 10 -o - --format csv\n\n\
+                  .asc is ESRI's text raster of one value, which QGIS, GDAL and CloudCompare read; .csv has a line for each \
+                  square that has points: X and Y of its centre, Count, Lowest, Highest. The edges of squares are at \
+                  multiples of the side."
+)]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// The side of a square, in CRS units.
+    #[arg(long, value_name = "S", value_parser = values::positive)]
+    side: f64,
+    #[command(flatten)]
+    which: Which,
+    /// For .asc: which value.
+    #[arg(long, value_enum, default_value_t = Value::Count)]
+    value: Value,
+    /// Where to: a file ending in .asc or .csv, or - for stdout.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// The form of the output, if its name doesn't say.
+    #[arg(long, value_enum, requires = "output")]
+    format: Option<Format>,
+    /// Replace an existing file.
+    #[arg(long)]
+    force: bool,
+    /// One JSON object on stdout, or on stderr where the raster goes to stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Value {
+    /// Points in the square.
+    Count,
+    /// Points per unit of area.
+    Density,
+    /// The least height.
+    Lowest,
+    /// The greatest height.
+    Highest,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Format {
+    Asc,
+    Csv,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let target = arguments.output.as_deref().map(|path| {
+        let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+        let by_name = match ending.as_str() {
+            "asc" => Some(Format::Asc),
+            "csv" => Some(Format::Csv),
+            _ => None,
+        };
+        let format = arguments.format.or(by_name).with_context(|| {
+            format!("{}: '{ending}' is no ending of a raster; use .asc or .csv, or --format", path.display())
+        })?;
+        Ok::<_, anyhow::Error>((path, format))
+    });
+    let target = target.transpose()?;
+    let store = Store::open_with(&arguments.store, Limits::once())?;
+    let snapshot = store.snapshot()?;
+    let query = arguments.which.query(arguments.which.region(&snapshot)?)?;
+    let density = query.density(&snapshot, arguments.side)?;
+    if let Some((path, format)) = target {
+        let (format, bands) = match format {
+            Format::Asc => (RasterFormat::Asc, vec![("value", band(&density, arguments.value))]),
+            Format::Csv => {
+                let named = [("Count", Value::Count), ("Lowest", Value::Lowest), ("Highest", Value::Highest)];
+                (RasterFormat::Csv, named.map(|(name, value)| (name, band(&density, value))).into())
+            }
+        };
+        let Density { side, first, size, .. } = density;
+        write_raster(path, format, &Raster { side, first, size, bands: &bands }, arguments.force)?;
+    }
+    let to_stdout = target.is_some_and(|(path, _)| path == std::path::Path::new("-"));
+    report(arguments, &density, to_stdout)?;
+    Ok(Outcome::Done)
+}
+
+/// A value of each square; NaN where there is none.
+fn band(density: &Density, value: Value) -> Vec<f64> {
+    let count = |n: &u64| *n as f64;
+    match value {
+        Value::Count => density.counts.iter().map(count).collect(),
+        Value::Density => density.counts.iter().map(|n| count(n) / (density.side * density.side)).collect(),
+        Value::Lowest => density.lowest.clone(),
+        Value::Highest => density.highest.clone(),
+    }
+}
+
+fn report(arguments: &Arguments, density: &Density, to_stdout: bool) -> anyhow::Result<()> {
+    let points: u64 = density.counts.iter().sum();
+    let full = density.counts.iter().filter(|n| **n > 0).count() as u64;
+    let most = density.counts.iter().max().copied().unwrap_or(0);
+    let area = full as f64 * density.side * density.side;
+    let mean = if full > 0 { points as f64 / area } else { 0.0 };
+    if arguments.json {
+        let value = serde_json::json!({
+            "points": points, "side": density.side, "first": density.first, "size": density.size,
+            "squares_with_points": full, "most_points": most, "points_per_area": mean,
+            "statistics": density.statistics,
+        });
+        if to_stdout {
+            eprintln!("{value}");
+        } else {
+            output::json(&value)?;
+        }
+    } else if !to_stdout {
+        let [across, up] = density.size;
+        output::line(format_args!("points       {}", output::grouped(points)))?;
+        output::line(format_args!("squares      {across} x {up}, {} of them with points", output::grouped(full)))?;
+        output::line(format_args!("fullest      {} points", output::grouped(most)))?;
+        output::line(format_args!("density      {mean:.4} points per square unit, where there are any"))?;
+    }
+    Ok(())
+}

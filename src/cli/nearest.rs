@@ -1,0 +1,170 @@
+//! `esker nearest`: the neighbours of points.
+
+use super::output_plan::plan;
+use super::query::{Format, format};
+use super::which::{Which, with_attributes};
+use super::{Outcome, output, values};
+use crate::formats::{CreateOptions, OutputFormat, create, create_standard_output};
+use crate::points::{Attribute, Column, ScalarType};
+use crate::query::Neighbors;
+use crate::store::{Limits, Store};
+use anyhow::{Context, bail};
+use clap::Args;
+use std::path::{Path, PathBuf};
+
+/// Finds the points that are nearest to some places: exactly, without reading more than their surroundings.
+///
+/// One line for each neighbour: its coordinates, the number of the place (Place, from 0), how far it is from it (Distance,
+/// in CRS units), and its attributes. Neighbours of one place come nearest first.
+#[derive(Debug, Args)]
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  esker nearest site.esker --at 500010,5000020,130 -k 8\n  \
+                  esker nearest site.esker --places targets.csv --radius 0.5 -o around.csv\n  \
+                  esker nearest site.esker --at 500010,5000020,130 --where 'Classification = 2' --attributes none"
+)]
+pub(super) struct Arguments {
+    /// The store.
+    store: PathBuf,
+    /// X,Y,Z of a place; may be given several times.
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_unless_present = "places")]
+    at: Vec<String>,
+    /// A text file of places: X, Y and Z in each line, separated by commas, semicolons or blanks; what follows them is
+    /// ignored, as are a first line of names and lines that begin with #. `-` is stdin.
+    #[arg(long, value_name = "FILE", conflicts_with = "at")]
+    places: Option<PathBuf>,
+    /// How many neighbours each place gets at most.
+    #[arg(short, long = "count", value_name = "N", default_value = "1", value_parser = values::count)]
+    k: u64,
+    /// Only neighbours at most this far away, in CRS units.
+    #[arg(long, value_name = "R", value_parser = values::not_negative)]
+    radius: Option<f64>,
+    #[command(flatten)]
+    which: Which,
+    /// Only these attributes, separated by commas; `none` for positions alone.
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
+    attributes: Vec<String>,
+    /// Where to: a file ending in .csv, .ply, .npy or .npz, or - for stdout.
+    #[arg(short, long, value_name = "FILE", default_value = "-")]
+    output: PathBuf,
+    /// The form of the output, if its name doesn't say; CSV on stdout.
+    #[arg(long, value_enum)]
+    format: Option<Format>,
+    /// Replace an existing file.
+    #[arg(long)]
+    force: bool,
+    /// What it cost as one JSON object: on stdout, or on stderr where the neighbours go to stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let to_stdout = arguments.output == Path::new("-");
+    let form = match arguments.format {
+        None if to_stdout => OutputFormat::Csv,
+        given => format(&arguments.output, given)?,
+    };
+    if matches!(form, OutputFormat::Las | OutputFormat::Laz) {
+        bail!("LAS files have no place for Place and Distance; write .csv, .ply, .npy or .npz");
+    }
+    let places = places(arguments)?;
+    let store = Store::open_with(&arguments.store, Limits::default())?;
+    let snapshot = store.snapshot()?;
+    let query = with_attributes(arguments.which.query(arguments.which.region(&snapshot)?)?, &arguments.attributes);
+    let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
+    let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, false, None)?;
+    let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
+    let statistics = serde_json::to_value(&found.statistics)?;
+    let Neighbors { mut batch, distances, ends, .. } = found;
+    let mut of_place = Vec::with_capacity(batch.len());
+    for (place, &end) in ends.iter().enumerate() {
+        of_place.resize(end, place as u64);
+    }
+    let own = [("Place", ScalarType::U64), ("Distance", ScalarType::F64)].map(|(name, ty)| Attribute::new(name, ty));
+    batch.attributes = own.into_iter().chain(batch.attributes.iter().cloned()).collect();
+    batch.columns.splice(0..0, [Column::U64(of_place), Column::F64(distances)]);
+    planned.plan.attributes = batch.attributes.clone();
+    let options = CreateOptions { force: arguments.force, ..CreateOptions::default() };
+    let mut writer = if to_stdout {
+        create_standard_output(form, &planned.plan, &options)?
+    } else {
+        create(&arguments.output, form, &planned.plan, &options)?
+    };
+    writer.write(&batch)?;
+    for note in writer.finish()? {
+        eprintln!("esker: {}", output::clean(&note));
+    }
+    let report = serde_json::json!({ "places": places.len(), "neighbours": batch.len(), "statistics": statistics });
+    match (arguments.json, to_stdout) {
+        (true, true) => eprintln!("{report}"),
+        (true, false) => output::json(&report)?,
+        (false, false) => output::line(format_args!(
+            "{}: {} neighbours of {} places",
+            arguments.output.display(),
+            output::grouped(batch.len() as u64),
+            output::grouped(places.len() as u64)
+        ))?,
+        (false, true) => {}
+    }
+    Ok(Outcome::Done)
+}
+
+/// The places, as they were given.
+fn places(arguments: &Arguments) -> anyhow::Result<Vec<[f64; 3]>> {
+    let Some(path) = &arguments.places else {
+        return arguments.at.iter().map(|text| place(text).with_context(|| format!("--at '{text}'"))).collect();
+    };
+    let text = if path == Path::new("-") {
+        std::io::read_to_string(std::io::stdin()).context("reading the places from stdin failed")?
+    } else {
+        std::fs::read_to_string(path).with_context(|| format!("{}: reading the places failed", path.display()))?
+    };
+    read_places(&text).with_context(|| path.display().to_string())
+}
+
+fn read_places(text: &str) -> anyhow::Result<Vec<[f64; 3]>> {
+    let mut places = Vec::new();
+    let lines =
+        (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with('#'));
+    for (i, (number, line)) in lines.enumerate() {
+        match place(line) {
+            Ok(place) => places.push(place),
+            // Names of columns.
+            Err(_) if i == 0 && line.chars().any(char::is_alphabetic) => {}
+            Err(error) => return Err(error.context(format!("line {number}"))),
+        }
+    }
+    if places.is_empty() {
+        bail!("there are no places in it");
+    }
+    Ok(places)
+}
+
+/// The first three numbers of a line.
+fn place(text: &str) -> anyhow::Result<[f64; 3]> {
+    let separators = |c: char| c.is_whitespace() || c == ',' || c == ';';
+    let mut words = text.split(separators).filter(|word| !word.is_empty());
+    let mut place = [0.0; 3];
+    for value in &mut place {
+        let word = words.next().context("X, Y and Z are wanted")?;
+        *value = word.parse().ok().filter(|v: &f64| v.is_finite()).with_context(|| format!("'{word}' is no number"))?;
+    }
+    Ok(place)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_are_read_as_programs_write_them() {
+        let read = |text: &str| read_places(text).map_err(|e| output::one_line(&e));
+        let expected = Ok(vec![[1.0, -2.5, 3e2], [4.0, 5.0, 6.0]]);
+        assert_eq!(read("X,Y,Z,Class\n1,-2.5,3e2,7\n\n# no place\n4,5,6,8\n"), expected);
+        assert_eq!(read("1 -2.5 3e2\n4\t5\t6"), expected);
+        assert_eq!(read("1; -2.5; 3e2\r\n4; 5; 6\r\n"), expected);
+        assert_eq!(read("1,2,3\n1,2\n"), Err("line 2: X, Y and Z are wanted".into()));
+        assert_eq!(read("1,2,3\n1,2,nan\n"), Err("line 2: 'nan' is no number".into()));
+        assert_eq!(read("x y z\n"), Err("there are no places in it".into()));
+    }
+}

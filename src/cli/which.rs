@@ -1,0 +1,47 @@
+//! Which points of a store: the options that `query`, `nearest` and `density` share.
+
+use super::interrupt::cancelled_by_interrupt;
+use super::region::Where;
+use crate::query::{Filter, Query, Region};
+use crate::store::Snapshot;
+use clap::Args;
+
+#[derive(Debug, Args)]
+pub(super) struct Which {
+    #[command(flatten)]
+    pub place: Where,
+    /// Only points for which this is true, such as 'Classification in (2, 9)'.
+    #[arg(long = "where", value_name = "EXPR")]
+    filter: Option<String>,
+    /// Only this scan, by name or id; may be given several times.
+    #[arg(long = "scan", value_name = "NAME")]
+    scans: Vec<String>,
+}
+
+impl Which {
+    /// The region that is meant.
+    pub fn region(&self, snapshot: &Snapshot) -> anyhow::Result<Region> {
+        self.place.region(&snapshot.site().lattice)
+    }
+
+    /// The points in `region`, by a query that Ctrl-C ends.
+    pub fn query(&self, region: Region) -> anyhow::Result<Query> {
+        let mut query = Query::new().region(region).cancel(&cancelled_by_interrupt());
+        if let Some(text) = &self.filter {
+            query = query.filter(Filter::parse(text)?);
+        }
+        if !self.scans.is_empty() {
+            query = query.scans(self.scans.iter().cloned());
+        }
+        Ok(query)
+    }
+}
+
+/// The attributes of an answer: `none`, some, or all where none is named.
+pub(super) fn with_attributes(query: Query, names: &[String]) -> Query {
+    match names {
+        [] => query,
+        [none] if none.eq_ignore_ascii_case("none") => query.positions_only(),
+        names => query.attributes(names.iter().map(|n| n.trim().to_owned())),
+    }
+}

@@ -1,0 +1,143 @@
+//! `esker nearest` and `esker density` against brute force on the file's own coordinates, and Ctrl-C in what only reads.
+
+use crate::support::{Random, TinyLas, esker, esker_fails, esker_ok};
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Read;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// A store of random points; their coordinates.
+fn site(folder: &tempfile::TempDir, points: usize) -> (String, Vec<[f64; 3]>) {
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (mut random, mut las) = (Random(11), TinyLas::new(3));
+    for _ in 0..points {
+        let at: [i32; 3] = std::array::from_fn(|i| random.below([4000, 3000, 200][i]) as i32 - 700);
+        las.push(at, random.next());
+    }
+    fs::write(path("site.las"), las.bytes()).unwrap();
+    esker_ok(&["ingest", &path("site.esker"), &path("site.las")]);
+    (path("site.esker"), las.positions().into_iter().map(|p| p.map(|c| f64::from(c) / 100.0)).collect())
+}
+
+/// The lines of a table after the first, as numbers.
+fn table(text: &str) -> Vec<Vec<f64>> {
+    text.lines().skip(1).map(|line| line.split(',').map(|v| v.parse().unwrap()).collect()).collect()
+}
+
+#[test]
+fn neighbours_and_densities_come_out_of_the_shell() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, points) = site(&folder, 3000);
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+
+    let places = [[3.0, 4.0, -6.5], [100.0, 0.0, 0.0], [-7.0, -7.0, -7.0]];
+    fs::write(path("places.txt"), "x y z\n3 4 -6.5\n100 0 0\n# none\n-7\t-7\t-7\tnote\n").unwrap();
+    let found = esker_ok(&["nearest", &store, "--places", &path("places.txt"), "-k", "5", "--attributes", "none"]);
+    assert_eq!(found.lines().next(), Some("X,Y,Z,Place,Distance"));
+    let rows = table(&found);
+    assert_eq!(rows.len(), 15);
+    for (n, place) in places.iter().enumerate() {
+        let away = |p: &[f64; 3]| (0..3).map(|i| (p[i] - place[i]).powi(2)).sum::<f64>().sqrt();
+        let mut all: Vec<f64> = points.iter().map(away).collect();
+        all.sort_by(f64::total_cmp);
+        for (row, expected) in rows[5 * n..].iter().zip(&all[..5]) {
+            assert_eq!(row[3], n as f64);
+            assert!((row[4] - expected).abs() < 1e-9 && (away(&[row[0], row[1], row[2]]) - expected).abs() < 1e-9);
+        }
+    }
+    // Within a radius, under a filter, to a file.
+    let csv = path("near.csv");
+    let report = esker_ok(&[
+        "nearest", &store, "--at", "3,4,-6.5", "-k", "1000", "--radius", "4", "--where", "Z < -6", "-o", &csv, "--json",
+    ]);
+    let within =
+        |p: &&[f64; 3]| p[2] < -6.0 && (p[0] - 3.0).powi(2) + (p[1] - 4.0).powi(2) + (p[2] + 6.5).powi(2) <= 16.0;
+    let expected = points.iter().filter(within).count();
+    assert!(expected > 3 && table(&fs::read_to_string(&csv).unwrap()).len() == expected);
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&report).unwrap()["neighbours"], expected);
+    esker_fails(&["nearest", &store, "--at", "3,4"], 1, &["--at '3,4'", "X, Y and Z"]);
+    esker_fails(&["nearest", &store, "--at", "3,4,nan"], 1, &["'nan' is no number"]);
+    esker_fails(&["nearest", &store, "--at", "3,4,5", "-o", &path("a.las")], 1, &["no place for Place"]);
+    esker_fails(&["nearest", &store], 2, &["--at"]);
+
+    let mut squares: BTreeMap<[i64; 2], (f64, f64, f64)> = BTreeMap::new();
+    for p in &points {
+        // Sides of a power of two, so that dividing is exact.
+        let square = squares.entry([0, 1].map(|i| (p[i] / 2.0).floor() as i64)).or_insert((0.0, p[2], p[2]));
+        *square = (square.0 + 1.0, square.1.min(p[2]), square.2.max(p[2]));
+    }
+    let rows = table(&esker_ok(&["density", &store, "--side", "2", "-o", "-", "--format", "csv"]));
+    assert_eq!(rows.len(), squares.len());
+    for row in &rows {
+        let at = [0, 1].map(|i| (row[i] / 2.0).floor() as i64);
+        assert_eq!((row[2], row[3], row[4]), squares[&at], "{row:?}");
+    }
+    let grid = path("density.asc");
+    let words = esker_ok(&["density", &store, "--side", "2", "-o", &grid]);
+    assert!(words.contains("3,000") && words.contains("fullest"), "{words}");
+    let text = fs::read_to_string(&grid).unwrap();
+    let head: BTreeMap<&str, f64> =
+        text.lines().take(6).map(|l| l.split_once(' ').unwrap()).map(|(k, v)| (k, v.parse().unwrap())).collect();
+    assert_eq!((head["xllcorner"], head["yllcorner"], head["cellsize"]), (-8.0, -8.0, 2.0));
+    let values: Vec<f64> = text.lines().skip(6).flat_map(|l| l.split(' ')).map(|v| v.parse().unwrap()).collect();
+    assert_eq!(values.len() as f64, head["ncols"] * head["nrows"]);
+    assert_eq!(values.iter().sum::<f64>(), 3000.0);
+    // The last line is the southernmost, which begins with the square at the corner.
+    let southwest = text.lines().last().unwrap().split(' ').next().unwrap();
+    assert_eq!(southwest.parse::<f64>().unwrap(), squares.get(&[-4, -4]).map_or(0.0, |s| s.0));
+    esker_fails(&["density", &store, "--side", "2", "-o", &grid], 1, &["--force"]);
+    esker_fails(&["density", &store, "--side", "0"], 2, &["positive"]);
+    esker_fails(&["density", &store, "--side", "2", "-o", &path("a.tif")], 1, &["'tif'", ".asc"]);
+    esker_fails(&["density", &store, "--side", "1e-7"], 1, &["2^28"]);
+    assert!(!esker(&["density", &store]).status.success());
+}
+
+#[test]
+fn the_ranges_that_info_tells_are_those_of_the_points() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = site(&folder, 2000);
+    let json = |arguments: &[&str]| serde_json::from_str::<serde_json::Value>(&esker_ok(arguments)).unwrap();
+    let (info, read) = (json(&["info", &store, "--json"]), json(&["query", &store, "--json"]));
+    let mut compared = 0;
+    for told in info["attributes"].as_array().unwrap() {
+        let found = read["attributes"].as_array().unwrap().iter().find(|a| a["name"] == told["name"]);
+        if let (Some(found), Some(range)) = (found, told["min_max"].as_array()) {
+            let number = |v: &serde_json::Value| v.as_f64().unwrap();
+            assert_eq!(
+                [number(&range[0]), number(&range[1])],
+                [number(&found["min"]), number(&found["max"])],
+                "{told}"
+            );
+            compared += 1;
+        }
+    }
+    assert!(compared > 8, "{info}");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_query_ends_at_once_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (store, _) = site(&folder, 40_000);
+    let temporary = folder.path().join("temporary");
+    fs::create_dir(&temporary).unwrap();
+    // Nobody reads on, so the program waits in the middle of handing its file over.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["query", &store, "-o", "-", "--format", "las"])
+        .env("TMPDIR", &temporary)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut first = [0];
+    child.stdout.as_mut().unwrap().read_exact(&mut first).unwrap();
+    assert_eq!(fs::read_dir(&temporary).unwrap().count(), 1);
+    let start = Instant::now();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let status = child.wait().unwrap();
+    assert_eq!(status.code(), Some(130));
+    assert!(start.elapsed() < Duration::from_secs(5));
+    assert_eq!(fs::read_dir(&temporary).unwrap().count(), 0);
+    esker_ok(&["verify", &store]);
+}

@@ -324,7 +324,9 @@ fn level(plan: &Arc<Plan>, cell: u8) -> Result<Source<Task>, QueryError> {
 /// The first points of a sequence.
 fn first_points(plan: &Arc<Plan>, mut sequence: Sequence) -> Result<Source<Task>, QueryError> {
     let mut tasks = Vec::new();
-    for task in by_part(plan, &std::mem::take(&mut sequence.above))? {
+    let above = std::mem::take(&mut sequence.above);
+    Meter::add(&plan.meter.nodes, above.chunk_by(|a, b| a.0 == b.0).count() as u64);
+    for task in by_part(plan, &above)? {
         let Task::Picked { node, .. } = &task else { continue };
         tasks.push((plan.nodes.node(*node)?.cube.k(), task));
     }

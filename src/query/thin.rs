@@ -1,6 +1,7 @@
 //! A thinned piece: the least matching point of every cell in it, in the order of the points.
 
 use super::QueryError;
+use super::answer::Meter;
 use super::cells::{Hole, Level, Pick, Reading, fill, read_node};
 use super::pieces::{Above, Piece};
 use super::plan::Plan;
@@ -10,6 +11,7 @@ use crate::lattice::{Cube, Key, LOW_DIGITS, LatticePoint, SortKey};
 use crate::octree::{Step, put_wins, steps};
 use crate::points::{Batch, Column, Positions};
 use crate::store::{Node, NodeIx};
+use std::collections::BTreeSet;
 
 /// Where some of a piece's points are.
 pub(crate) enum Source<'a> {
@@ -275,6 +277,11 @@ impl Thinned<'_> {
         let plan = self.plan;
         let taken = self.taken(keep);
         let count = taken.iter().filter(|t| **t).count();
+        let read = self.sources.iter().filter_map(|source| match source {
+            Source::Read(reading) => Some(reading.node),
+            _ => None,
+        });
+        Meter::add(&plan.meter.nodes, read.collect::<BTreeSet<_>>().len() as u64);
         let mut all = Batch::empty(plan.attributes.clone());
         all.positions = Positions::with_capacity(count);
         all.columns = plan.columns.iter().map(|c| Column::with_capacity(c.attribute.ty, count)).collect();

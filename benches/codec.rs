@@ -187,7 +187,7 @@ fn laz_size<'a>(header: &las::Header, records: impl Iterator<Item = &'a [u8]>) -
     Ok(size(&records)? - size(&[])?)
 }
 
-/// The attributes that one is encoded after, as a store has it; they come before it.
+/// The attributes that one is encoded after, as a store has it.
 fn leaders(attributes: &[Attribute], a: usize) -> Vec<usize> {
     let names: &[&str] = match &*attributes[a].name {
         "Green" => &["Red"],
@@ -231,7 +231,10 @@ fn report(
             None => Passes::default(),
         });
     }
-    for column in 0..=attributes.len() {
+    // Those that others follow come before them.
+    let mut order: Vec<usize> = (0..=attributes.len()).collect();
+    order.sort_by_key(|column| column.checked_sub(1).map_or(0, |a| leaders(attributes, a).len()));
+    for column in order {
         let (mut chunks, mut encode, mut decode) = (Vec::new(), f64::MAX, f64::MAX);
         // The system counts in steps of some milliseconds.
         let repeats = (MIN_POINTS / count).max(1);

@@ -3,7 +3,7 @@
 
 use super::Place;
 use super::fit::Fit;
-use super::walk::{MAX_LINES_PER_POINT, MAX_PASSES, Model, ONE_PULSE, Pass, nearest};
+use super::walk::{MAX_LINES_PER_POINT, MAX_PASSES, Model, ONE_PULSE, Pass, Units, nearest};
 use crate::codec::ranked::Entry;
 
 /// The fewest points among which lines are looked for: below, passes cost more than they save.
@@ -80,13 +80,13 @@ impl Found {
         &self.model
     }
 
-    /// Brings the model to pulses of so many numbers.
-    pub(super) fn set_pulse(&mut self, pulse: u64) {
-        let numbers = pulse as f64 / ONE_PULSE as f64;
+    /// Brings the model to these units.
+    pub(super) fn set_units(&mut self, units: Units) {
+        let numbers = units.pulse() * units.tick();
         for (pass, (along, across)) in self.passes.iter_mut().zip(&self.rates) {
             pass.set_rates(along.map(|rate| rate / numbers), *across);
         }
-        self.model.set(pulse, &self.passes);
+        self.model.set(units, &self.passes);
     }
 
     /// Looks for lines in numbers, sorted, at `places`; false if there are none worth while.

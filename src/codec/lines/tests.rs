@@ -26,6 +26,11 @@ fn flight(passes: u32, period: u64, pulse: f64, jitter: i32, seed: u64) -> Vec<(
     points
 }
 
+/// The same numbers as ticks of a clock, rounded.
+fn by_clock(points: Vec<(Place, u64)>, tick: f64) -> Vec<(Place, u64)> {
+    points.into_iter().map(|(place, ticks)| (place, (ticks as f64 * tick).round() as u64)).collect()
+}
+
 fn encode(points: &[(Place, u64)]) -> Option<(BlockPasses, Vec<u8>)> {
     let values: Vec<u64> = points.iter().map(|p| p.1).collect();
     let most = values.iter().copied().max().unwrap_or(0);
@@ -55,8 +60,9 @@ proptest! {
         pulse in 1.0_f64..60.0,
         jitter in 0_i32..30,
         seed: u64,
+        tick in prop_oneof![Just(1.0), 100.0_f64..5000.0],
     ) {
-        let points = flight(passes, period, pulse, jitter, seed);
+        let points = by_clock(flight(passes, period, pulse, jitter, seed), tick);
         if let Some((passes, bytes)) = encode(&points) {
             prop_assert_eq!(decode(&points, &passes, &bytes).unwrap(), points.iter().map(|p| p.1).collect::<Vec<_>>());
         }
@@ -75,8 +81,8 @@ proptest! {
     }
 
     #[test]
-    fn damaged_lines_are_errors_or_other_numbers(at: prop::sample::Index, to: u8, seed: u64) {
-        let points = flight(2, 50_000, 13.4, 2, seed);
+    fn damaged_lines_are_errors_or_other_numbers(at: prop::sample::Index, to: u8, seed: u64, clock: bool) {
+        let points = by_clock(flight(2, 50_000, 13.4, 2, seed), if clock { 1467.4587 } else { 1.0 });
         let (passes, mut bytes) = encode(&points).unwrap();
         let at = at.index(bytes.len());
         bytes[at] = to;
@@ -93,4 +99,13 @@ fn a_steady_flight_takes_little() {
     let (_, bytes) = encode(&points).expect("the flight has lines");
     // As ranks, 11 bits a point and a table.
     assert!(2 * bytes.len() < points.len(), "{} bytes for {} points", bytes.len(), points.len());
+}
+
+#[test]
+fn what_is_below_a_tick_takes_little() {
+    let points = flight(2, 50_000, 13.4, 0, 1);
+    let (_, plain) = encode(&points).expect("the flight has lines");
+    let (_, bytes) = encode(&by_clock(points.clone(), 1467.4587)).expect("the flight has lines");
+    // For each first point of a line the bits of a tick, for each other one if it was rounded up or down.
+    assert!(4 * (bytes.len() - plain.len()) < points.len(), "{} bytes, {} in ticks", bytes.len(), plain.len());
 }

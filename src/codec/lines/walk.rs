@@ -15,7 +15,10 @@ pub(super) const MAX_LINES_PER_POINT: usize = 4;
 /// Fraction bits of a pulse's length.
 const PULSE_BITS: u32 = 16;
 
-/// A pulse of one number, which is to say that none is known.
+/// Fraction bits of a tick's length.
+pub(super) const TICK_BITS: u32 = 32;
+
+/// A pulse of one tick, which is to say that none is known.
 pub(super) const ONE_PULSE: u64 = 1 << PULSE_BITS;
 
 /// Fraction bits of pulses a lattice step.
@@ -48,27 +51,49 @@ impl Pass {
     }
 }
 
+/// What times are counted in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Units {
+    /// Ticks a pulse, in 2^-16.
+    pub(super) pulse: u64,
+    /// Numbers a tick, in 2^-32; 0 if a tick is a number.
+    pub(super) tick: u64,
+}
+
+impl Units {
+    /// Numbers a tick.
+    pub(super) fn tick(self) -> f64 {
+        if self.tick == 0 { 1.0 } else { self.tick as f64 / (1_u64 << TICK_BITS) as f64 }
+    }
+
+    /// Ticks a pulse.
+    pub(super) fn pulse(self) -> f64 {
+        self.pulse as f64 / ONE_PULSE as f64
+    }
+}
+
 /// What is stored of a block beside its points.
 #[derive(Debug, Default)]
 pub(super) struct Model {
-    /// Numbers a pulse.
-    pulse: u64,
-    /// Its reverse, for encoding.
-    pulses_a_number: f64,
+    units: Units,
+    /// The reverse of both, for encoding.
+    ticks_a_number: f64,
+    pulses_a_tick: f64,
     passes: Vec<Pass>,
 }
 
 impl Model {
     /// Takes over what was found; passes have at least one line each.
-    pub(super) fn set(&mut self, pulse: u64, passes: &[Pass]) {
-        self.pulse = pulse;
-        self.pulses_a_number = ONE_PULSE as f64 / pulse as f64;
+    pub(super) fn set(&mut self, units: Units, passes: &[Pass]) {
+        self.units = units;
+        (self.ticks_a_number, self.pulses_a_tick) = (1.0 / units.tick(), 1.0 / units.pulse());
         self.passes.clear();
         self.passes.extend_from_slice(passes);
     }
 
     pub(super) fn put(&self, out: &mut Vec<u8>) {
-        put_varint(self.pulse, out);
+        put_varint(self.units.pulse, out);
+        put_varint(self.units.tick, out);
         for pass in &self.passes {
             let Pass { start, period, lines, along, across } = *pass;
             put_varint(lines.into(), out);
@@ -79,12 +104,13 @@ impl Model {
 
     /// The reverse of [`Model::put`], for so many passes.
     pub(super) fn read(&mut self, reader: &mut Reader, passes: usize, max_lines: usize) -> Result<(), CodecError> {
-        const PULSE: &str = "numbers a pulse";
+        const PULSE: &str = "ticks a pulse";
         const LINES: &str = "lines of a pass";
-        self.pulse = reader.varint(PULSE)?;
-        if self.pulse < ONE_PULSE {
-            return Err(CodecError::Range { place: PULSE, found: self.pulse, limit: u64::MAX });
+        let pulse = reader.varint(PULSE)?;
+        if pulse < ONE_PULSE {
+            return Err(CodecError::Range { place: PULSE, found: pulse, limit: u64::MAX });
         }
+        self.units = Units { pulse, tick: reader.varint("numbers a tick")? };
         self.passes.clear();
         let mut left = max_lines as u64;
         for _ in 0..passes {
@@ -103,24 +129,41 @@ impl Model {
         Ok(())
     }
 
-    pub(super) fn pulse(&self) -> u64 {
-        self.pulse
+    pub(super) fn units(&self) -> Units {
+        self.units
     }
 
     pub(super) fn passes(&self) -> usize {
         self.passes.len()
     }
 
-    /// The length of so many pulses.
+    /// How many ticks so many pulses take.
     #[inline]
-    pub(super) fn length(&self, pulses: i64) -> i64 {
-        pulses.wrapping_mul(self.pulse as i64).wrapping_add(1 << (PULSE_BITS - 1)) >> PULSE_BITS
+    pub(super) fn ticks(&self, pulses: i64) -> i64 {
+        pulses.wrapping_mul(self.units.pulse as i64).wrapping_add(1 << (PULSE_BITS - 1)) >> PULSE_BITS
     }
 
-    /// How many pulses come nearest to a length. For encoding: whatever it gives, the rest makes up for it.
+    /// The length of so many ticks.
     #[inline]
-    pub(super) fn nearest(&self, length: i64) -> i64 {
-        if self.pulse == ONE_PULSE { length } else { nearest(length as f64 * self.pulses_a_number) }
+    pub(super) fn length(&self, ticks: i64) -> i64 {
+        let Units { tick, .. } = self.units;
+        if tick == 0 {
+            return ticks;
+        }
+        // A product of 63 and 64 bits, and less than one more.
+        ((i128::from(ticks) * i128::from(tick) + (1 << (TICK_BITS - 1))) >> TICK_BITS) as i64
+    }
+
+    /// How many ticks come nearest to a length. For encoding: whatever it gives, the rest makes up for it.
+    #[inline]
+    pub(super) fn nearest_ticks(&self, length: i64) -> i64 {
+        if self.units.tick == 0 { length } else { nearest(length as f64 * self.ticks_a_number) }
+    }
+
+    /// How many pulses come nearest to so many ticks.
+    #[inline]
+    pub(super) fn nearest_pulses(&self, ticks: i64) -> i64 {
+        if self.units.pulse == ONE_PULSE { ticks } else { nearest(ticks as f64 * self.pulses_a_tick) }
     }
 }
 

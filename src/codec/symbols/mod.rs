@@ -459,4 +459,46 @@ mod tests {
             }
         }
     }
+
+    /// Ends that only a look at each of them finds.
+    #[test]
+    fn symbols_end_where_they_began() {
+        let symbols = [3; 8];
+        let (mut writer, mut reader, mut back) = (SymbolWriter::default(), SymbolReader::default(), Vec::new());
+        let mut bytes = Vec::new();
+        writer.count(&symbols);
+        writer.put::<ONE_CONTEXT>(&symbols, |_| 0, &mut bytes);
+        // One symbol alone leaves its states as they are, and needs no words.
+        let states = bytes.len() - STATE_BYTES;
+        let mut with = |state: u32, more: &[u8]| {
+            let mut bytes = [&bytes, more].concat();
+            bytes[states..states + 4].copy_from_slice(&state.to_le_bytes());
+            reader.read(&bytes, symbols.len(), &mut back).map(|()| back.clone())
+        };
+        assert_eq!(with(LEAST, &[]).unwrap(), symbols);
+        let length = |result| matches!(result, Err(CodecError::Length { .. }));
+        assert!(length(with(LEAST + 1, &[])), "a state that is not the first one");
+        assert!(length(with(LEAST, &[0, 0])), "a word that nobody needs");
+        assert!(length(with(LEAST, &[0])), "half a word");
+        for state in [LEAST - 1, LEAST << 16] {
+            let error = with(state, &[]).unwrap_err();
+            assert!(matches!(error, CodecError::Range { place: "state of coded symbols", .. }), "{error}");
+        }
+    }
+
+    #[test]
+    fn contexts_have_few_symbols_and_one_of_them_occurs() {
+        let states = [LEAST; RUNS].map(u32::to_le_bytes).concat();
+        let read = |head: &[u8]| {
+            let bytes = [head, &states].concat();
+            SymbolReader::default().read_in(&bytes, 4, 2, |_, _| 0, &mut Vec::new()).map_err(|error| match error {
+                CodecError::Range { place, .. } => place,
+                _ => "another error",
+            })
+        };
+        // The second context occurs, with the exponents 1 and 0 for two symbols: bits 0, 1, 100 00, 101.
+        assert_eq!(read(&[1, 0b1000_0110, 0b10]), Ok(()));
+        assert_eq!(read(&[1, 0]), Err("contexts that occur"));
+        assert_eq!(read(&[16, 0]), Err("symbols"));
+    }
 }

@@ -312,13 +312,15 @@ mod tests {
                 let (mut bytes, mut same) = (Vec::new(), indices.clone());
                 put(&mut StreamWriter::default(), &found, &mut same, Some(&followed), &mut bytes);
                 let (mut streams, mut back) = (StreamReader::default(), Vec::new());
-                let mut read = |followed, back: &mut _| {
+                let mut read = |followed: Option<&[u16]>, back: &mut _| {
                     read(&mut streams, Reader::new(&bytes), &mut same, values.len(), followed, back)
                 };
                 read(Some(&followed), &mut back).unwrap();
                 prop_assert_eq!(&back, &values);
-                if let Err(error) = read(None, &mut back) {
-                    prop_assert_eq!(error, CodecError::NoLeader);
+                for followed in [None, Some(&followed[1..])] {
+                    if let Err(error) = read(followed, &mut back) {
+                        prop_assert_eq!(error, CodecError::NoLeader);
+                    }
                 }
             }
             let mut bytes = Vec::new();
@@ -327,5 +329,14 @@ mod tests {
             read(&mut StreamReader::default(), Reader::new(&bytes), &mut indices, values.len(), None, &mut back).unwrap();
             prop_assert_eq!(back, values);
         }
+    }
+
+    #[test]
+    fn symbols_that_are_no_index_are_errors() {
+        // Contexts of two values, of which only the first occurs, with a weight for the third symbol alone: bits 1, 0, 0, 100 00, 0.
+        let states = [0x8000_u32; 4].map(u32::to_le_bytes).concat();
+        let bytes = [&[Way::Before as u8, 2, 0b1001, 0], &states[..]].concat();
+        let result = read_indices(&mut StreamReader::default(), Reader::new(&bytes), 2, 4, None, &mut vec![], |_| ());
+        assert_eq!(result, Err(outside(2, 2)));
     }
 }

@@ -268,4 +268,26 @@ mod tests {
         let [a, b] = fit(&pairs, true);
         assert!((a - 3.0).abs() < 0.2 && (b + 2.0).abs() < 0.2, "{a} {b}");
     }
+
+    #[test]
+    fn one_or_two_are_followed_in_steps_of_their_own() {
+        let leaders: Leaders = [Some(&[1; 4]), Some(&[2; 4])];
+        for found in [0, 3] {
+            let error = read(
+                &mut StreamReader::default(),
+                Reader::new(&[found, 0, 0, 0, 0]),
+                4,
+                leaders,
+                &mut vec![],
+                &mut vec![],
+            );
+            let limit = MAX_LEADERS as u64;
+            assert_eq!(
+                error,
+                Err(CodecError::Range { place: "columns that are followed", found: found.into(), limit })
+            );
+        }
+        let choice = Choice { rates: [1, 0], leaders: 1, step: 2 };
+        assert_eq!([1, 2].map(|step| choice.fits(step)), [false, true]);
+    }
 }

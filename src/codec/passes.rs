@@ -88,3 +88,26 @@ impl Beside<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn there_is_a_pass_and_there_are_not_too_many() {
+        let mut passes = Vec::new();
+        let mut read = |bytes: &[u8]| {
+            let found = read(&mut StreamReader::default(), bytes, 3, &mut Vec::new(), &mut passes);
+            found.map(|count| (count, passes.clone()))
+        };
+        assert_eq!(read(&[1]), Ok((1, vec![0; 3])));
+        // As many as there may be: indices as they are, in a stream of three bytes as they are.
+        let most = MAX_PASSES as u8;
+        assert_eq!(read(&[most, 0, 3 << 2, 0, most - 1, 1]), Ok((MAX_PASSES, vec![0, most - 1, 1])));
+        for found in [0, most + 1] {
+            let (found, limit) = (u64::from(found), u64::from(most));
+            let error = CodecError::Range { place: "passes", found, limit };
+            assert_eq!(read(&[found as u8, 0, 3 << 2, 0, 0, 0]), Err(error));
+        }
+    }
+}

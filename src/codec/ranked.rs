@@ -94,7 +94,7 @@ impl RankBuffers {
     /// Sorts values up to `most`, of at most 52 bits.
     pub(super) fn sort(&mut self, values: &[u64], most: u64) {
         let Self { sorted, other, .. } = self;
-        let bits = u64::BITS - most.leading_zeros();
+        let bits = (u64::BITS - most.leading_zeros()).max(1);
         let digit_bits = bits.div_ceil(bits.div_ceil(DIGIT_BITS).max(1));
         let digit = |entry: Entry, shift: u32| (entry.0 >> shift) as usize & ((1 << digit_bits) - 1) & (DIGITS - 1);
         let mut counts = [0_u16; DIGITS];
@@ -252,5 +252,13 @@ mod tests {
             prop_assert_eq!(&decoder.table, &distinct);
             prop_assert!(!try_put(&mut writer, &mut buffers, most, 0.0, |_| (), &mut bytes));
         }
+    }
+
+    /// A property test met it once in thousands of cases: no bits are no digits, and no way to go through them.
+    #[test]
+    fn nothing_but_zeros_is_sorted() {
+        let mut rank = RankBuffers::default();
+        rank.sort(&[0; 3], 0);
+        assert_eq!(rank.sorted().iter().map(|e| (e.number(), e.index())).collect::<Vec<_>>(), [(0, 0), (0, 1), (0, 2)]);
     }
 }

@@ -423,3 +423,83 @@ fn what_follows_another_column_takes_little_and_asks_for_it() {
         assert_eq!(back.len(), 0);
     }
 }
+
+/// What a column has in one block, read anew or by a decoder that kept other blocks.
+fn one_block(chunk: &ColumnChunk, ty: ScalarType, block: usize, decoder: &mut Decoder) -> Column {
+    let mut column = Column::zeros(ty, 0);
+    chunk.decode_block(decoder, block, &mut column).unwrap();
+    column
+}
+
+#[test]
+fn a_kept_block_is_not_taken_for_one_that_follows_another_column() {
+    let columns = followers(300, 1, false);
+    let mut chunks: Vec<Vec<u8>> = Vec::new();
+    for (column, leaders) in &columns[..2] {
+        let leaders: Vec<_> = leaders.iter().map(|i| &columns[*i].0).collect();
+        let mut out = Vec::new();
+        Encoder::new().column_after(column, &Passes::default(), &leaders, &mut out).unwrap();
+        chunks.push(out);
+    }
+    // The same bytes after a red that falls where the first one rises.
+    let Column::U16(red) = &columns[0].0 else { panic!("red has 16 bits") };
+    let mut other = Vec::new();
+    Encoder::new().column(&Column::U16(red.iter().map(|r| 300 - r).collect()), &mut other).unwrap();
+    let green = |red| {
+        let chunk = |bytes| ColumnChunk::parse(bytes, ScalarType::U16, 300).unwrap();
+        chunk(&chunks[1]).after(chunk(red)).leading()
+    };
+    let (first, second) = (green(&chunks[0]), green(&other));
+    let mut decoder = Decoder::new();
+    assert_eq!(one_block(&first, ScalarType::U16, 0, &mut decoder), columns[1].0);
+    let anew = one_block(&second, ScalarType::U16, 0, &mut Decoder::new());
+    assert_ne!(anew, columns[1].0);
+    assert_eq!(one_block(&second, ScalarType::U16, 0, &mut decoder), anew);
+}
+
+#[test]
+fn a_kept_block_is_not_taken_for_one_of_other_passes_or_of_another_length() {
+    let mut encoder = Encoder::new();
+    let (cube, keys, columns) = flown(2, 0);
+    let found = encoder.times(&columns[0], cube, &keys, &mut Vec::new()).unwrap();
+    // The same with the passes the other way around.
+    let mut turned = found.clone();
+    turned.blocks.iter_mut().for_each(|block| block.of_point.iter_mut().for_each(|pass| *pass = 1 - *pass));
+    let [first, second] = [&found, &turned].map(|passes| {
+        let mut bytes = Vec::new();
+        Encoder::new().positions_with(cube, &keys, passes, &mut bytes).unwrap();
+        bytes
+    });
+    let mut bytes = Vec::new();
+    encoder.column_beside(&columns[1], &found, &mut bytes).unwrap();
+    let mut decoder = Decoder::new();
+    let mut read = |positions: &[u8]| {
+        let positions = PositionChunk::parse(positions, cube, keys.len()).unwrap();
+        let chunk = ColumnChunk::parse(&bytes, ScalarType::U16, keys.len()).unwrap().at(&positions).leading();
+        let anew = one_block(&chunk, ScalarType::U16, 0, &mut Decoder::new());
+        assert_eq!(one_block(&chunk, ScalarType::U16, 0, &mut decoder), anew);
+        anew
+    };
+    assert_ne!(read(&first), read(&second));
+
+    // The first block and the last have the same bytes.
+    let values = Column::U16([vec![7; BLOCK_POINTS], vec![8; BLOCK_POINTS], vec![7; 9]].concat());
+    let mut bytes = Vec::new();
+    encoder.column(&values, &mut bytes).unwrap();
+    let chunk = ColumnChunk::parse(&bytes, ScalarType::U16, values.len()).unwrap().leading();
+    let mut back = Column::zeros(ScalarType::U16, 0);
+    chunk.decode(&mut decoder, &mut back).unwrap();
+    assert_eq!(back, values);
+}
+
+#[test]
+fn what_can_not_be_followed_is_not() {
+    let column = Column::U16((0..300).map(|i| i * 7 % 251).collect());
+    let mut alone = Vec::new();
+    Encoder::new().column(&column, &mut alone).unwrap();
+    for leader in [Column::zeros(ScalarType::U16, 299), Column::zeros(ScalarType::F32, 300)] {
+        let mut out = Vec::new();
+        Encoder::new().column_after(&column, &Passes::default(), &[&leader], &mut out).unwrap();
+        assert_eq!(out, alone);
+    }
+}

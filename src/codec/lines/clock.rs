@@ -22,14 +22,16 @@ const MAX_CLUSTERS: usize = 128;
 
 /// The numbers of a tick, if the gaps between sorted numbers, the first of them 0, are whole ticks, rounded.
 pub(super) fn find(sorted: &[Entry]) -> Option<f64> {
-    let mut tick = common(sorted)?;
+    let (mut tick, error) = common(sorted)?;
     // The way from the first number on tells the tick ever better: how many ticks the next gap has is known each time.
     let (mut ticks, mut before) = (0.0, 0);
     for number in sorted.iter().map(|entry| entry.number()) {
         if number > before {
             ticks += nearest((number - before) as f64 / tick) as f64;
             before = number;
-            tick = number as f64 / f64::max(ticks, 1.0);
+            if ticks * error > 1.0 {
+                tick = number as f64 / ticks;
+            }
         }
     }
     (tick >= MIN_TICK).then_some(tick)
@@ -39,7 +41,7 @@ pub(super) fn find(sorted: &[Entry]) -> Option<f64> {
 type About = (f64, f64);
 
 /// What the gaps are multiples of, but for rounding.
-fn common(sorted: &[Entry]) -> Option<f64> {
+fn common(sorted: &[Entry]) -> Option<About> {
     let stride = sorted.len().div_ceil(GAPS).max(1);
     let gap = |pair: &[Entry]| Some(pair[1].number() - pair[0].number()).filter(|gap| *gap > 0);
     let mut gaps: Vec<i64> = sorted.windows(2).step_by(stride).filter_map(gap).collect();
@@ -47,10 +49,14 @@ fn common(sorted: &[Entry]) -> Option<f64> {
         return None;
     }
     gaps.sort_unstable();
-    // The longest are those between lines.
-    gaps.truncate(gaps.len() / 4 * 3);
     let mut means: Vec<About> = Vec::with_capacity(MAX_CLUSTERS);
+    let mut seen = 0;
     for same in gaps.chunk_by(|a, b| b - a <= SAME) {
+        // The longest are those between lines.
+        if 4 * seen >= 3 * gaps.len() {
+            break;
+        }
+        seen += same.len();
         if means.len() == MAX_CLUSTERS || same[same.len() - 1] - same[0] > MAX_SPREAD {
             return None;
         }
@@ -81,7 +87,7 @@ fn common(sorted: &[Entry]) -> Option<f64> {
             tick = (mean / times, error / times);
         }
     }
-    Some(tick.0)
+    Some(tick)
 }
 
 #[cfg(test)]

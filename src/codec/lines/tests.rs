@@ -109,3 +109,24 @@ fn what_is_below_a_tick_takes_little() {
     // For each first point of a line the bits of a tick, for each other one if it was rounded up or down.
     assert!(4 * (bytes.len() - plain.len()) < points.len(), "{} bytes, {} in ticks", bytes.len(), plain.len());
 }
+
+#[test]
+fn units_and_lines_have_limits() {
+    let mut bytes = Vec::new();
+    let read = |pulse: u64, lines: [u64; 2], bytes: &mut Vec<u8>| {
+        bytes.clear();
+        [pulse, 0].iter().for_each(|v| put_varint(*v, bytes));
+        for lines in lines {
+            put_varint(lines, bytes);
+            bytes.extend([0; 8]);
+        }
+        Model::default().read(&mut Reader::new(bytes), 2, 10).map_err(|error| match error {
+            CodecError::Range { place, .. } => place,
+            _ => "another error",
+        })
+    };
+    assert_eq!(read(ONE_PULSE, [6, 4], &mut bytes), Ok(()));
+    assert_eq!(read(ONE_PULSE - 1, [6, 4], &mut bytes), Err("ticks a pulse"));
+    assert_eq!(read(ONE_PULSE, [6, 5], &mut bytes), Err("lines of a pass"));
+    assert_eq!(read(ONE_PULSE, [10, 0], &mut bytes), Err("lines of a pass"));
+}

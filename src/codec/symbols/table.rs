@@ -164,4 +164,14 @@ mod tests {
             prop_assert!(exponent <= MAX_EXPONENT);
         }
     }
+
+    #[test]
+    fn a_table_of_nothing_is_an_error() {
+        // Three symbols whose exponents stay 0.
+        let mut bits = Bits { bytes: &[0; 1 + PADDING], len: 8, at: 0 };
+        assert!(matches!(
+            read(&mut bits, &mut [0; 3], 512),
+            Err(CodecError::Range { place: "weights of a context", .. })
+        ));
+    }
 }

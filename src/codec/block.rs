@@ -133,7 +133,7 @@ fn gcd(mut a: u64, mut b: u64) -> u64 {
 const SMALL_SHARE: usize = 24;
 
 /// Nor are those that take more: one of so many bytes a point. Colours and intensities, whose decoding must not wait for
-/// positions, are never steady enough to be worth it.
+/// positions, are never steady enough to be worth it. They have no sign; angles have one, and are tried whatever they take.
 const LARGE_SHARE: usize = 2;
 
 /// Appends the block of `values`, of which there is at least one.
@@ -192,9 +192,11 @@ pub(super) fn put_block<T: Value>(
         put_wide(streams, buffers, (most, step.size()), leaders, times, head, out);
     }
     let plain = out.len() - start;
+    let signed = matches!(ty, ScalarType::I8 | ScalarType::I16);
     if let Some(passes) = passes
         && most <= u64::from(u16::MAX)
-        && (block.len() / SMALL_SHARE + 1..=block.len() / LARGE_SHARE).contains(&plain)
+        && plain > block.len() / SMALL_SHARE
+        && (signed || plain <= block.len() / LARGE_SHARE)
     {
         let Buffers { values, bytes, steady, other, .. } = buffers;
         other.clear();

@@ -251,11 +251,19 @@ impl<'a> PositionChunk<'a> {
         Ok(())
     }
 
-    /// Decodes the passes of the points of one block into `decoder.passes` and gives their number.
+    /// Decodes the passes of the points of one block into `decoder.passes`, unless they are there, and gives their number.
     pub(super) fn passes(&self, decoder: &mut Decoder, block: usize) -> Result<usize, CodecError> {
         let bytes = self.directory.block(self.bounds.len() + block)?;
         let count = block_range(block, self.count).len();
-        passes::read(&mut decoder.streams, bytes, count, &mut decoder.bytes, &mut decoder.passes)
+        let Decoder { streams, bytes: packed, passes, passes_of: (of, found), .. } = decoder;
+        if *found > 0 && passes.len() == count && of == bytes {
+            return Ok(*found);
+        }
+        *found = 0;
+        *found = passes::read(streams, bytes, count, packed, passes)?;
+        of.clear();
+        of.extend_from_slice(bytes);
+        Ok(*found)
     }
 
     /// Appends all that positions and passes of one block are a function of.

@@ -59,6 +59,8 @@ pub struct Decoder {
     pub(super) places: Vec<Place>,
     /// The pass of each point.
     pub(super) passes: Vec<u8>,
+    /// What `passes` are a function of: the bytes of a block, and how many passes there are; 0 if they are none of a block.
+    pub(super) passes_of: (Vec<u8>, usize),
     /// For lines.
     pub(super) lines: LineScratch,
     /// Columns that others follow.

@@ -180,22 +180,30 @@ pub(super) fn read(
         }
     }
     let count = decoder.passes.len();
-    if courses.iter().all(|course| course.rates == [0; 3]) {
-        decoder.places.clear();
-        decoder.places.resize(count, Place::default());
-    } else {
+    let same = courses.iter().all(|course| course.rates == [0; 3]);
+    if !same {
         places(decoder)?;
     }
     let Decoder { streams, bytes, wide, values, passes, places, .. } = decoder;
     let off = numbers::read(streams, reader, count, u64::MAX, bytes, wide)?;
-    let points = passes.iter().zip(places.iter());
-    let value = |(&pass, &place): (&u8, &Place), off: u64| {
-        courses[usize::from(pass) % MAX_PASSES].at(place).wrapping_add(unzigzag(off) as i64) as u64
-    };
+    let course = |pass: u8| &courses[usize::from(pass) % MAX_PASSES];
+    let value = |expected: i64, off: u64| expected.wrapping_add(unzigzag(off) as i64) as u64;
     values.clear();
-    match off {
-        Numbers::Bytes(off) => values.extend(points.zip(off).map(|(p, off)| value(p, u64::from(*off)))),
-        Numbers::Wide(off) => values.extend(points.zip(off).map(|(p, off)| value(p, *off))),
+    match (off, same) {
+        (Numbers::Bytes(off), true) => {
+            values.extend(passes.iter().zip(off).map(|(&pass, &off)| value(course(pass).base, off.into())));
+        }
+        (Numbers::Wide(off), true) => {
+            values.extend(passes.iter().zip(off).map(|(&pass, &off)| value(course(pass).base, off)));
+        }
+        (Numbers::Bytes(off), false) => {
+            let points = passes.iter().zip(places.iter()).zip(off);
+            values.extend(points.map(|((&pass, &place), &off)| value(course(pass).at(place), off.into())));
+        }
+        (Numbers::Wide(off), false) => {
+            let points = passes.iter().zip(places.iter()).zip(off);
+            values.extend(points.map(|((&pass, &place), &off)| value(course(pass).at(place), off)));
+        }
     }
     Ok(())
 }

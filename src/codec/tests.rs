@@ -503,3 +503,29 @@ fn what_can_not_be_followed_is_not() {
         assert_eq!(out, alone);
     }
 }
+
+#[test]
+fn fine_angles_follow_from_positions_which_a_large_cube_does_not_give() {
+    let (cube, keys, columns) = flown(2, 2);
+    let mut encoder = Encoder::new();
+    let passes = encoder.times(&columns[0], cube, &keys, &mut Vec::new()).unwrap();
+    let mut places = Vec::new();
+    morton::places(cube, keys.iter().map(|key| key ^ cube.first_key().low), &mut places);
+    let angles = Column::I16(places.iter().map(|place| (place[0] / 2) as i16 - 500).collect());
+    let mut bytes = Vec::new();
+    encoder.column_beside(&angles, &passes, &mut bytes).unwrap();
+    assert!(4 * bytes.len() < keys.len(), "{} bytes for {} points", bytes.len(), keys.len());
+    let chunk = ColumnChunk::parse(&bytes, ScalarType::I16, keys.len()).unwrap();
+    let large = Cube::containing(cube.low(), 30);
+    let in_large: Vec<_> = keys.iter().map(|key| Key { high: cube.first_key().high, low: *key }).collect();
+    let (mut near, mut far) = (Vec::new(), Vec::new());
+    encoder.positions_with(cube, &keys, &passes, &mut near).unwrap();
+    encoder.positions_with(large, &in_large, &passes, &mut far).unwrap();
+    let mut back = Column::zeros(ScalarType::I16, 0);
+    let positions = PositionChunk::parse(&near, cube, keys.len()).unwrap();
+    chunk.clone().at(&positions).decode(&mut Decoder::new(), &mut back).unwrap();
+    assert_eq!(back, angles);
+    let positions = PositionChunk::parse(&far, large, keys.len()).unwrap();
+    let error = chunk.at(&positions).decode(&mut Decoder::new(), &mut back).unwrap_err();
+    assert!(matches!(error, CodecError::Range { place: "side of a cube with lines", .. }), "{error}");
+}

@@ -467,7 +467,7 @@ mod tests {
         let (mut writer, mut reader, mut back) = (SymbolWriter::default(), SymbolReader::default(), Vec::new());
         let mut bytes = Vec::new();
         writer.count(&symbols);
-        writer.put::<ONE_CONTEXT>(&symbols, |_| 0, &mut bytes);
+        writer.put(&symbols, &mut bytes);
         // One symbol alone leaves its states as they are, and needs no words.
         let states = bytes.len() - STATE_BYTES;
         let mut with = |state: u32, more: &[u8]| {

@@ -4,10 +4,14 @@
 //! budget is there to limit.
 
 use super::IngestError;
+use crate::store::spill_path;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Tells the files of a process apart: a scan that is read may wait in one while a layer is built anew through another.
+static NEXT: AtomicU64 = AtomicU64::new(0);
 
 /// A file beside the store, removed when this is dropped.
 #[derive(Debug)]
@@ -18,11 +22,9 @@ pub(super) struct Spill {
 }
 
 impl Spill {
-    /// Creates `STORE.spill-PID`.
+    /// Creates `STORE.spill-PID-N`.
     pub fn create(store: &Path) -> Result<Self, IngestError> {
-        let mut name = store.as_os_str().to_owned();
-        name.push(format!(".spill-{}", std::process::id()));
-        let path = PathBuf::from(name);
+        let path = spill_path(store, &format!("{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
         let file = File::options()
             .read(true)
             .write(true)
@@ -63,5 +65,28 @@ impl Drop for Spill {
     fn drop(&mut self) {
         // Nothing can be done about a failure here; the next writer removes what is left.
         let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    // Replacing a scan in little memory read the rows of the new scan from a file that building the rest anew had
+    // emptied and filled again.
+    #[test]
+    fn two_of_a_store_do_not_touch_each_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = folder.path().join("a.esker");
+        let (a, b) = (Spill::create(&store).unwrap(), Spill::create(&store).unwrap());
+        let at = [a.append(b"north").unwrap(), b.append(b"south").unwrap()];
+        let mut read = [0; 5];
+        a.read(&mut read, at[0]).unwrap();
+        assert_eq!(&read, b"north");
+        drop(b);
+        a.read(&mut read, at[0]).unwrap();
+        assert_eq!(&read, b"north");
+        drop(a);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

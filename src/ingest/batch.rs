@@ -5,7 +5,7 @@ use super::bulk::{Layer, Room, params};
 use super::change::{Edit, Ground, NewPoints, POINT_BYTES, ScanOrder, change};
 use super::context::Context;
 use super::gather::ScanColumns;
-use super::layers::{MOST_INSERTED, Target, joined, scan_table, target, withdraw};
+use super::layers::{MOST_INSERTED, Target, joined, scan_table, taken_layers, target, withdraw};
 use super::measure::{WorldBounds, hinted_bounds};
 use super::partition::{Bucket, RowPlan, ScanTally};
 use super::progress::Stage;
@@ -133,31 +133,29 @@ fn build(
     buckets: Vec<Bucket>,
     report: &mut Report,
 ) -> Result<Vec<Edit>, IngestError> {
-    let index = snapshot.index()?;
     let site = snapshot.site();
     let order = Arc::new(ScanOrder::new(snapshot.scans().iter().chain(new.scans), writer.attributes()));
     let table = scan_table(writer.attributes(), snapshot.scans().iter().chain(new.scans));
-    let ground = Ground { snapshot: &snapshot, index: &index, params: params(site), scans: &order, table: &table };
+    let ground = Ground { snapshot: &snapshot, params: params(site), scans: &order, table: &table };
     let rows: u64 = buckets.iter().map(|b| b.rows).sum();
     let fits = rows <= MOST_INSERTED && rows.saturating_mul(POINT_BYTES) <= context.memory;
     let small = room.is_memory() && fits;
     let columns = new.columns();
 
     let mut edits = Vec::new();
-    if small && !index.is_empty() {
+    if small && taken_layers(site).next().is_some() {
         let new_points = if room.wide {
             NewPoints::of::<Key>(&buckets, &columns, &order)?
         } else {
             NewPoints::of::<u64>(&buckets, &columns, &order)?
         };
         let mut points = new_points.points();
-        if let Target::Existing(into) = target(context, &snapshot, &index, Some(&points)) {
+        if let Target::Existing(into) = target(context, &snapshot, Some(&points))? {
             drop(buckets);
-            for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
+            for layer in taken_layers(site) {
                 if layer == into {
                     let points = std::mem::take(&mut points);
-                    let cancelled = || context.progress.cancelled();
-                    edits.push(change(&ground, writer, layer, batch.replaced, points, &cancelled)?);
+                    edits.push(change(&ground, writer, layer, batch.replaced, points, context.progress)?);
                 } else {
                     edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
                 }
@@ -166,11 +164,11 @@ fn build(
             return Ok(edits);
         }
     }
-    for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
+    for layer in taken_layers(site) {
         edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
     }
     let bounds = new.scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    if let (Some(bounds), Target::New(into)) = (bounds, target(context, &snapshot, &index, None)) {
+    if let (Some(bounds), Target::New(into)) = (bounds, target(context, &snapshot, None)?) {
         let params = params(site);
         let root = Cube::spanning(bounds.min, bounds.max, site.g);
         // A snapshot that is held keeps the log from being used again while it grows by the whole layer.

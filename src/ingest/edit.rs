@@ -4,7 +4,7 @@ use super::batch::{Batch, add};
 use super::budget::peak_memory;
 use super::change::{Ground, ScanOrder};
 use super::context::{Context, Resources};
-use super::layers::{digest_of_all, fold_all, fold_if_many, joined, scan_table, withdraw};
+use super::layers::{digest_of_all, fold_all, fold_if_many, joined, scan_table, taken_layers, withdraw};
 use super::measure::measure;
 use super::progress::{Progress, Stage};
 use super::report::{Report, Stages};
@@ -72,14 +72,13 @@ pub fn remove(
             bytes_before,
             ..Removed::default()
         };
-        let index = snapshot.index()?;
         let order = Arc::new(ScanOrder::new(snapshot.scans(), writer.attributes()));
         let table = scan_table(writer.attributes(), snapshot.scans());
         let params = bulk::params(snapshot.site());
-        let ground = Ground { snapshot: &snapshot, index: &index, params, scans: &order, table: &table };
+        let ground = Ground { snapshot: &snapshot, params, scans: &order, table: &table };
         progress.stage(Stage::Build, removed.points);
         let mut edits = Vec::new();
-        for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
+        for layer in taken_layers(snapshot.site()) {
             edits.extend(withdraw(context, &ground, &mut writer, layer, &doomed)?);
         }
         context.go_on()?;
@@ -195,7 +194,7 @@ pub fn compact(
             let begun = Instant::now();
             let (store, mut writer) = opened(context, Store::open(path)?)?;
             let bytes_before = file_bytes(path);
-            let layers = store.snapshot()?.index()?.roots().count();
+            let layers = taken_layers(store.snapshot()?.site()).count();
             fold_all(context, &store, &mut writer)?;
             writer.compact()?;
             let bytes_after = file_bytes(path);
@@ -236,7 +235,7 @@ pub fn compact(
 pub fn digest(path: &Path, resources: &Resources, progress: &dyn Progress) -> Result<Digest, IngestError> {
     Context::run(path, resources, progress, |context| {
         let snapshot = Store::open(path)?.snapshot()?;
-        if snapshot.index()?.roots().count() < 2 {
+        if taken_layers(snapshot.site()).count() < 2 {
             return Ok(crate::store::digest(&snapshot)?);
         }
         digest_of_all(context, &snapshot)

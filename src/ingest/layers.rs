@@ -16,7 +16,9 @@ use super::progress::Stage;
 use super::stored::StoredPoints;
 use crate::lattice::{Cube, Key};
 use crate::store::model::{Scan, ScanId, Site, StoredAttribute};
-use crate::store::{ChunkIds, Digest, Digester, Flip, NodeChange, NodeIndex, ScanTable, Snapshot, Store, Writer};
+use crate::store::{
+    ChunkIds, Digest, Digester, Flip, NodeChange, Nodes, ScanTable, Snapshot, Store, StoreError, Writer,
+};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
@@ -43,25 +45,26 @@ pub(super) enum Target {
 pub(super) fn target(
     context: &Context<'_>,
     snapshot: &Snapshot,
-    index: &NodeIndex,
     points: Option<&[Point<'_>]>,
-) -> Target {
+) -> Result<Target, IngestError> {
     let site = snapshot.site();
     if let Some(points) = points {
         let n = points.len() as u64;
         let most = n.saturating_mul(MOST_REWRITTEN).saturating_add(2 * u64::from(site.leaf_capacity));
-        for layer in 0..u16::try_from(index.layers()).unwrap_or(u16::MAX) {
-            if index.root(layer).is_none() {
-                continue;
-            }
-            let rewritten = touched(index, layer, points);
-            if rewritten <= most && (rewritten + n).saturating_mul(POINT_BYTES) <= context.memory {
-                return Target::Existing(layer);
+        let most = most.min((context.memory / POINT_BYTES).saturating_sub(n));
+        for layer in taken_layers(site) {
+            if touched(&snapshot.nodes(), layer, points, most)?.is_some() {
+                return Ok(Target::Existing(layer));
             }
         }
     }
     let free = site.roots.iter().position(Option::is_none).unwrap_or(site.roots.len());
-    Target::New(u16::try_from(free).unwrap_or(u16::MAX))
+    Ok(Target::New(u16::try_from(free).unwrap_or(u16::MAX)))
+}
+
+/// The layers that have a tree.
+pub(super) fn taken_layers(site: &Site) -> impl Iterator<Item = u16> + '_ {
+    (0..).zip(&site.roots).filter(|(_, root)| root.is_some()).map(|(layer, _)| layer)
 }
 
 /// Which attributes which scans have.
@@ -81,22 +84,22 @@ pub(super) fn withdraw(
     layer: u16,
     doomed: &[ScanId],
 ) -> Result<Option<Edit>, IngestError> {
-    let Some(root) = ground.index.root(layer) else { return Ok(None) };
-    let head = ground.index.head(root);
+    let nodes = ground.snapshot.nodes();
+    let Some(head) = nodes.root(layer)? else { return Ok(None) };
     let is_doomed = |scan: ScanId| doomed.binary_search(&scan).is_ok();
     let going: u64 = head.scans.iter().filter(|c| is_doomed(c.scan)).map(|c| c.subtree).sum();
     if going == 0 {
         return Ok(None);
     }
     if going == head.subtree_points {
-        return Ok(Some(Edit { layer, delete: all_nodes(ground.index, layer), ..Edit::default() }));
+        return Ok(Some(Edit { layer, delete: all_nodes(&nodes, layer)?, ..Edit::default() }));
     }
-    let rewritten = touched_by_removal(ground.index, layer, doomed);
+    let rewritten = touched_by_removal(&nodes, layer, doomed)?;
     let fits = rewritten.saturating_mul(POINT_BYTES) <= context.memory;
     // Where most of a large layer changes, building it anew on all threads is quicker.
     let dense = rewritten > head.subtree_points / 2 && rewritten > 16 * u64::from(ground.params.leaf_capacity);
     if fits && !dense {
-        return change(ground, writer, layer, doomed, Vec::new(), &|| context.progress.cancelled()).map(Some);
+        return change(ground, writer, layer, doomed, Vec::new(), context.progress).map(Some);
     }
     rebuild(context, ground.snapshot, writer, &[layer], layer, |scan| !is_doomed(scan.id)).map(Some)
 }
@@ -110,9 +113,10 @@ pub(super) fn rebuild(
     into: u16,
     wanted: impl Fn(&Scan) -> bool,
 ) -> Result<Edit, IngestError> {
-    let index = snapshot.index()?;
     let mut edit = Edit { layer: into, ..Edit::default() };
-    edit.delete = layers.iter().flat_map(|&layer| all_nodes(&index, layer)).collect();
+    for &layer in layers {
+        edit.delete.extend(all_nodes(&snapshot.nodes(), layer)?);
+    }
     let source = Source { snapshot, layers, ids: writer.chunk_ids(), attributes: writer.attributes().to_vec() };
     source.built(context, into, wanted, |room, layer, buckets| {
         edit.root = Some(layer.root);
@@ -125,7 +129,7 @@ pub(super) fn rebuild(
 
 /// The digest of the tree that all layers together make.
 pub(super) fn digest_of_all(context: &Context<'_>, snapshot: &Snapshot) -> Result<Digest, IngestError> {
-    let layers: Vec<u16> = (0..u16::try_from(snapshot.index()?.layers()).unwrap_or(u16::MAX)).collect();
+    let layers: Vec<u16> = taken_layers(snapshot.site()).collect();
     let digester = Digester::new(snapshot)?;
     let nodes = Mutex::new(BTreeMap::new());
     let attributes = snapshot.attributes().to_vec();
@@ -189,8 +193,8 @@ impl Source<'_> {
     }
 }
 
-fn all_nodes(index: &NodeIndex, layer: u16) -> Vec<(u16, Cube)> {
-    index.layer(layer).map(|node| (layer, index.head(node).cube)).collect()
+fn all_nodes(nodes: &Nodes, layer: u16) -> Result<Vec<(u16, Cube)>, StoreError> {
+    Ok(nodes.all(layer)?.iter().map(|node| (layer, node.cube)).collect())
 }
 
 /// What edits of different layers come to, as part of a commit.
@@ -223,10 +227,8 @@ pub(super) fn joined(site: &Site, edits: Vec<Edit>) -> Flip {
 /// Makes one layer of all but the largest if there are too many; says whether.
 pub(super) fn fold_if_many(context: &Context<'_>, store: &Store, writer: &mut Writer) -> Result<bool, IngestError> {
     let snapshot = store.snapshot()?;
-    let index = snapshot.index()?;
-    let mut sizes: Vec<(u64, u16)> = (0..u16::try_from(index.layers()).unwrap_or(u16::MAX))
-        .filter_map(|layer| Some((index.head(index.root(layer)?).subtree_points, layer)))
-        .collect();
+    let roots = snapshot.nodes().roots()?;
+    let mut sizes: Vec<(u64, u16)> = roots.iter().map(|root| (root.subtree_points, root.layer)).collect();
     if sizes.len() <= MOST_LAYERS {
         return Ok(false);
     }
@@ -244,9 +246,7 @@ pub(super) fn fold_if_many(context: &Context<'_>, store: &Store, writer: &mut Wr
 /// Makes one layer of all; says whether there were several.
 pub(super) fn fold_all(context: &Context<'_>, store: &Store, writer: &mut Writer) -> Result<bool, IngestError> {
     let snapshot = store.snapshot()?;
-    let index = snapshot.index()?;
-    let layers: Vec<u16> =
-        (0..u16::try_from(index.layers()).unwrap_or(u16::MAX)).filter(|&layer| index.root(layer).is_some()).collect();
+    let layers: Vec<u16> = taken_layers(snapshot.site()).collect();
     if layers.len() < 2 && layers.first().is_none_or(|&layer| layer == 0) {
         return Ok(false);
     }

@@ -9,17 +9,17 @@ use crate::codec::Decoder;
 use crate::lattice::LatticeBox;
 use crate::points::{PositionKind, RecordLayout};
 use crate::store::model::{Scan, ScanId, Slot};
-use crate::store::{DecodedPart, NodeIndex, Snapshot, StoreError, decode_part};
+use crate::store::{DecodedPart, Node, Snapshot, StoreError, decode_part};
 use crate::with_column;
 use rayon::prelude::*;
 use std::path::Path;
-use std::sync::Arc;
 
 /// Some scans of a snapshot and their points, in some of its layers.
 pub(super) struct StoredPoints<'a> {
     snapshot: &'a Snapshot,
-    index: Arc<NodeIndex>,
     layers: Vec<u16>,
+    /// Those of the layers.
+    roots: Vec<Node>,
     /// The scans, ascending by id.
     scans: Vec<&'a Scan>,
     /// The number of the first of them in this run.
@@ -36,14 +36,13 @@ impl<'a> StoredPoints<'a> {
         first_slot: u32,
         wanted: impl Fn(&Scan) -> bool,
     ) -> Result<Self, IngestError> {
-        let index = snapshot.index()?;
-        let layers = match layers {
-            Some(layers) => layers.to_vec(),
-            None => (0..index.layers()).filter_map(|l| u16::try_from(l).ok()).collect(),
-        };
+        let nodes = snapshot.nodes();
+        let layers = layers.map_or_else(|| (0..nodes.layers()).collect(), <[u16]>::to_vec);
+        let mut roots = nodes.roots()?;
+        roots.retain(|root| layers.contains(&root.layer));
         let scans: Vec<_> = snapshot.scans().iter().filter(|s| wanted(s)).collect();
         let layouts = scans.iter().map(|scan| layout(path, snapshot, scan)).collect::<Result<_, _>>()?;
-        Ok(Self { snapshot, index, layers, scans, first_slot, layouts })
+        Ok(Self { snapshot, layers, roots, scans, first_slot, layouts })
     }
 
     /// The scans, ascending by id.
@@ -59,15 +58,11 @@ impl<'a> StoredPoints<'a> {
 
     /// Points, at most: those of other scans are counted, too.
     pub fn points(&self) -> u64 {
-        self.roots().map(|head| self.wanted(&head.scans)).sum()
+        self.roots.iter().map(|root| self.wanted(&root.scans)).sum()
     }
 
     fn wanted(&self, counts: &[crate::store::model::ScanCount]) -> u64 {
         counts.iter().filter(|c| self.place(c.scan).is_some()).map(|c| c.subtree).sum()
-    }
-
-    fn roots(&self) -> impl Iterator<Item = &crate::store::model::NodeHead> {
-        self.layers.iter().filter_map(|&layer| self.index.root(layer)).map(|root| self.index.head(root))
     }
 
     fn place(&self, scan: ScanId) -> Option<usize> {
@@ -76,13 +71,13 @@ impl<'a> StoredPoints<'a> {
 
     /// Bytes of their records.
     pub fn payload_bytes(&self) -> u64 {
-        let counts = self.roots().flat_map(|head| &head.scans);
+        let counts = self.roots.iter().flat_map(|root| &root.scans);
         counts.filter_map(|c| Some(c.subtree * self.layouts[self.place(c.scan)?].payload as u64)).sum()
     }
 
     /// Bounds that hold them all, not always tight.
     pub fn bounds(&self) -> Option<LatticeBox> {
-        self.roots().map(|head| head.subtree_bounds).reduce(|a, b| a.union(&b))
+        self.roots.iter().map(|root| root.subtree_bounds).reduce(|a, b| a.union(&b))
     }
 
     /// Puts their rows into `partition`; `plans` are [`StoredPoints::row_plans`]. Gives the bounds of what was put.
@@ -93,13 +88,16 @@ impl<'a> StoredPoints<'a> {
         open_bytes: usize,
         progress: &dyn Progress,
     ) -> Result<Option<LatticeBox>, IngestError> {
-        let heads = self.layers.par_iter().flat_map_iter(|&layer| self.index.layer(layer));
-        let bounds = heads
-            .map_init(Decoder::new, |decoder, node| {
+        let mut nodes = Vec::new();
+        for &layer in &self.layers {
+            nodes.append(&mut self.snapshot.nodes().all(layer)?);
+        }
+        let bounds = nodes
+            .par_iter()
+            .map_init(Decoder::new, |decoder, head| {
                 if progress.cancelled() {
                     return Err(IngestError::Interrupted);
                 }
-                let head = self.index.head(node);
                 let mut bounds: Option<LatticeBox> = None;
                 for part in 0..head.parts.len() {
                     let decoded = decode_part(self.snapshot, head, part, decoder)?;

@@ -1,6 +1,7 @@
 //! The last transaction of a change: node rows, scans, attributes, the site; checked as a whole before it counts.
 
 use super::error::RowError;
+use super::flip_check::{self, Changed};
 use super::index::NodeIndex;
 use super::model::{NodeHead, Scan, ScanId, StoredAttribute, Zones};
 use super::rows::{self, SiteRow};
@@ -78,11 +79,11 @@ pub(super) fn flip(
         rows::put_scan(connection, scan)?;
     }
     site.scans = count(connection, "scan")?;
-    let (old, new) = put_nodes(connection, change.nodes)?;
-    site.nodes = count(connection, "node")?;
+    let Put { old, new, nodes, changed } = put_nodes(connection, base, change.nodes)?;
+    site.nodes = nodes;
     put_garbage(connection, old, &new)?;
     rows::put_site(connection, &site)?;
-    check(connection)?;
+    check(connection, changed.as_ref())?;
     Ok(site)
 }
 
@@ -101,12 +102,25 @@ fn note(ranges: &mut Ranges, head: &NodeHead) {
     }
 }
 
-/// Writes the node rows; gives the chunk rows of those that were there before and of those that were put.
-fn put_nodes(connection: &Connection, change: NodeChange) -> Result<(Ranges, BTreeSet<i64>), RowError> {
+/// Node rows that were written.
+struct Put {
+    /// The chunk rows of nodes that were there before, and the first of each node that was put.
+    old: Ranges,
+    new: BTreeSet<i64>,
+    /// How many nodes there are now.
+    nodes: u64,
+    /// `None`: all are new.
+    changed: Option<Changed>,
+}
+
+fn put_nodes(connection: &Connection, base: &SiteRow, change: NodeChange) -> Result<Put, RowError> {
     let mut old = Ranges::new();
+    let mut nodes = base.nodes;
+    let mut changed = Changed::default();
+    let mut is_delta = true;
     let mut put = match change {
-        NodeChange::Keep => return Ok((old, BTreeSet::new())),
-        NodeChange::ReplaceAll(nodes) => {
+        NodeChange::Keep => Vec::new(),
+        NodeChange::ReplaceAll(all) => {
             let mut wrong = None;
             rows::load_nodes(connection, |head| match head {
                 Ok(head) => note(&mut old, &head),
@@ -114,7 +128,8 @@ fn put_nodes(connection: &Connection, change: NodeChange) -> Result<(Ranges, BTr
             })?;
             wrong.map_or(Ok(()), Err)?;
             connection.execute_batch("DELETE FROM node; DELETE FROM zone")?;
-            nodes
+            (nodes, is_delta) = (0, false);
+            all
         }
         NodeChange::Delta { put, delete } => {
             for (layer, cube) in delete {
@@ -123,11 +138,8 @@ fn put_nodes(connection: &Connection, change: NodeChange) -> Result<(Ranges, BTr
                 note(&mut old, &head);
                 rows::delete_node(connection, layer, cube)?;
                 rows::delete_zones(connection, layer, cube)?;
-            }
-            for (head, _) in &put {
-                if let Some(before) = rows::load_node(connection, head.layer, head.cube)? {
-                    note(&mut old, &before);
-                }
+                nodes = nodes.saturating_sub(1);
+                changed.note(layer, cube);
             }
             put
         }
@@ -136,14 +148,20 @@ fn put_nodes(connection: &Connection, change: NodeChange) -> Result<(Ranges, BTr
     put.sort_by_key(|(head, _)| (head.layer, head.cube.node_key()));
     let mut new = BTreeSet::new();
     for (head, zones) in &put {
+        let before = if is_delta { rows::load_node(connection, head.layer, head.cube)? } else { None };
+        match before {
+            Some(before) => note(&mut old, &before),
+            None => nodes += 1,
+        }
         let ids = head.chunk_ids();
         if !ids.is_empty() && !new.insert(ids.start) {
             return Err(RowError::Inconsistent("two nodes have the same chunk rows".into()));
         }
         rows::put_node(connection, head)?;
         rows::put_zones(connection, head.layer, head.cube, zones)?;
+        changed.note(head.layer, head.cube);
     }
-    Ok((old, new))
+    Ok(Put { old, new, nodes, changed: is_delta.then_some(changed) })
 }
 
 /// Neighbouring ranges become one.
@@ -165,26 +183,36 @@ fn put_garbage(connection: &Connection, old: Ranges, new: &BTreeSet<i64>) -> Res
     Ok(())
 }
 
-/// Reads all of it back: a mistake of the caller must not become a damaged store.
-fn check(connection: &Connection) -> Result<(), RowError> {
+/// Reads it back: a mistake of the caller must not become a damaged store. What lies far from the nodes that changed was
+/// whole before and is not looked at.
+fn check(connection: &Connection, changed: Option<&Changed>) -> Result<(), RowError> {
     let mistake = |e: RowError| match e {
         RowError::Damage { table, key, what } => RowError::Inconsistent(format!("table {table}, {key}: {what}")),
         e => e,
     };
     let (site, scans, _) = facts(connection).map_err(mistake)?;
-    let (index, damage) = NodeIndex::load(connection, &site);
-    damage.into_iter().next().map_or(Ok(()), |e| Err(mistake(e)))?;
-    match conservation(&index, &scans).into_iter().next() {
+    let wrong = match changed {
+        Some(changed) => {
+            let roots = flip_check::check(connection, &site, changed).map_err(mistake)?;
+            conservation(&roots, &scans)
+        }
+        None => {
+            let (index, damage) = NodeIndex::load(connection, &site);
+            damage.into_iter().next().map_or(Ok(()), |e| Err(mistake(e)))?;
+            conservation(index.roots().map(|root| index.head(root)), &scans)
+        }
+    };
+    match wrong.into_iter().next() {
         Some((scan, what)) => Err(RowError::Inconsistent(format!("scan {scan}: {what}"))),
         None => Ok(()),
     }
 }
 
-/// Law 1, scan by scan: what does not hold.
-pub(super) fn conservation(index: &NodeIndex, scans: &[Scan]) -> Vec<(ScanId, String)> {
+/// Law 1, scan by scan, for the roots of all layers: what does not hold.
+pub(super) fn conservation<'h>(roots: impl IntoIterator<Item = &'h NodeHead>, scans: &[Scan]) -> Vec<(ScanId, String)> {
     let mut found: BTreeMap<ScanId, u64> = BTreeMap::new();
-    for root in index.roots() {
-        for scan in &index.head(root).scans {
+    for root in roots {
+        for scan in &root.scans {
             *found.entry(scan.scan).or_default() += scan.subtree;
         }
     }

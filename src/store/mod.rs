@@ -12,6 +12,7 @@ mod encode;
 mod error;
 mod files;
 mod flip;
+mod flip_check;
 mod handle;
 mod index;
 mod info;

@@ -290,6 +290,23 @@ impl Nodes {
         Ok(None)
     }
 
+    /// All nodes of a layer in pre-order, their pages held: for work on all of them.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Damaged`] if a row is missing or wrong.
+    pub fn all(&self, layer: u16) -> Result<Vec<Node>, StoreError> {
+        let mut open: Vec<Node> = self.root(layer)?.into_iter().collect();
+        let mut all = Vec::new();
+        while let Some(node) = open.pop() {
+            let before = open.len();
+            open.extend(self.children(&node)?);
+            open[before..].reverse();
+            all.push(node);
+        }
+        Ok(all)
+    }
+
     /// The zone maps of a node, kept with its row.
     ///
     /// # Errors
@@ -331,6 +348,11 @@ impl Iterator for Children {
 impl ExactSizeIterator for Children {}
 
 fn load_roots(connection: &Connection, site: &SiteRow) -> Result<Page, RowError> {
+    Ok(Page::family(roots_of(connection, site)?, true, 0))
+}
+
+/// The rows of all roots, by layer; their counts are those of all nodes.
+pub(super) fn roots_of(connection: &Connection, site: &SiteRow) -> Result<Vec<NodeHead>, RowError> {
     let mut heads = Vec::new();
     for (layer, root) in (0_u16..).zip(&site.site.roots) {
         let Some(cube) = root else { continue };
@@ -344,7 +366,7 @@ fn load_roots(connection: &Connection, site: &SiteRow) -> Result<Page, RowError>
         let what = format!("the roots count {nodes}, but {} were written", site.nodes);
         return Err(RowError::damage("node", "all rows", what));
     }
-    Ok(Page::family(heads, true, 0))
+    Ok(heads)
 }
 
 /// What lies below a node: all of it if it is small, else its children.

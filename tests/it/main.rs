@@ -10,6 +10,7 @@ mod engine;
 mod faults;
 mod fidelity;
 mod floors;
+mod growth;
 mod histories;
 mod outofcore;
 #[cfg(feature = "render")]

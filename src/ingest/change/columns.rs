@@ -45,11 +45,14 @@ impl<'p, 'a> Scattered<'p, 'a> {
     /// The columns of the points with these indices, in that order.
     pub fn columns(&self, picked: &[u32], scan: impl Fn(&Point<'_>) -> u32) -> PointColumns {
         let scans = picked.iter().map(|&i| scan(&self.points[i as usize])).collect();
-        let columns = self.slots.iter().filter_map(|&slot| Some((slot, self.column(slot, picked)?))).collect();
+        // Once for all columns, and close together: which block, and where in it.
+        let at: Vec<(u32, u32)> =
+            picked.iter().map(|&i| (self.numbers[i as usize], self.points[i as usize].at)).collect();
+        let columns = self.slots.iter().filter_map(|&slot| Some((slot, self.column(slot, &at)?))).collect();
         PointColumns { scans, columns }
     }
 
-    fn column(&self, slot: Slot, picked: &[u32]) -> Option<Column> {
+    fn column(&self, slot: Slot, at: &[(u32, u32)]) -> Option<Column> {
         let found: Vec<Option<&Column>> = self.blocks.iter().map(|block| block.column(slot)).collect();
         macro_rules! gathered {
             ($($variant:ident),*) => {
@@ -61,11 +64,10 @@ impl<'p, 'a> Scattered<'p, 'a> {
                             _ => &[],
                         };
                         let of_block: Vec<&[_]> = found.iter().map(values).collect();
-                        let value = |&i: &u32| {
-                            let values = of_block[self.numbers[i as usize] as usize];
-                            values.get(self.points[i as usize].at as usize).copied().unwrap_or_default()
+                        let value = |&(block, at): &(u32, u32)| {
+                            of_block[block as usize].get(at as usize).copied().unwrap_or_default()
                         };
-                        Column::$variant(picked.iter().map(value).collect())
+                        Column::$variant(at.iter().map(value).collect())
                     })*
                 }
             };

@@ -110,8 +110,12 @@ impl<'a> Job<'_, 'a> {
         let Some(row) = self.nodes.row(cube)? else { return Ok(()) };
         let children = children(self.nodes, cube, row.leaf)?;
         let own = || match self.nodes.written(cube) {
-            Some(points) if !points.is_empty() && !self.is_unchanged(cube, row.leaf, &points) => {
-                self.encode(cube, row.leaf, children, &points, above)
+            Some(points) if !points.is_empty() => {
+                if !self.is_unchanged(cube, row.leaf, &points)? {
+                    self.encode(cube, row.leaf, children, &points, above)?;
+                }
+                self.nodes.advance(points.len());
+                Ok(())
             }
             _ => Ok(()),
         };
@@ -138,9 +142,8 @@ impl<'a> Job<'_, 'a> {
 
     /// Points that were written back where they were need no new chunks. Not so in a leaf or a root: there the parts
     /// depend on more than the node's own points.
-    fn is_unchanged(&self, cube: Cube, leaf: bool, points: &[Point<'a>]) -> bool {
-        let was_inner = || self.nodes.head(cube).is_some_and(|head| !head.leaf);
-        !leaf && (self.same_root || self.root != cube) && was_inner() && self.nodes.has_just(cube, points)
+    fn is_unchanged(&self, cube: Cube, leaf: bool, points: &[Point<'a>]) -> Result<bool, IngestError> {
+        Ok(!leaf && (self.same_root || self.root != cube) && self.nodes.has_just(cube, points)?)
     }
 
     fn encode(
@@ -232,11 +235,12 @@ fn summarise(
     put: &mut Vec<(NodeHead, Zones)>,
 ) -> Result<Option<Summary>, IngestError> {
     let Some(row) = nodes.row(cube)? else { return Ok(None) };
-    let stored = ground.index.find(nodes.layer, cube);
+    let stored = nodes.stored(cube)?;
+    let rows = ground.snapshot.nodes();
     let key = cube.node_key();
     if !affected.contains(&key) {
         let Some(node) = stored else { return Ok(None) };
-        return Ok(Some(Summary::of(ground.index.head(node), &*ground.snapshot.zones(node)?)));
+        return Ok(Some(Summary::of(&node, &*rows.zones(&node)?)));
     }
     let children = children(nodes, cube, row.leaf)?;
     let mut below = Vec::new();
@@ -246,7 +250,7 @@ fn summarise(
     let (mut head, mut zones) = match (encoded.remove(&key), stored, row.own) {
         (Some(new), _, _) => new,
         (None, _, 0) => (NodeHead::without_points(nodes.layer, cube), Zones::default()),
-        (None, Some(node), _) => (ground.index.head(node).clone(), ground.snapshot.zones(node)?.as_ref().clone()),
+        (None, Some(node), _) => (NodeHead::clone(&node), rows.zones(&node)?.as_ref().clone()),
         (None, None, _) => return Err(IngestError::Internal(format!("node {cube:?} was not encoded"))),
     };
     head.leaf = row.leaf;

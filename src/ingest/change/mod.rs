@@ -17,10 +17,11 @@ pub(super) use finish::Edit;
 pub(super) use point::{NewPoints, Point, ScanOrder};
 
 use super::IngestError;
+use super::progress::{Progress, Stage};
 use crate::lattice::Cube;
 use crate::octree::{Doomed, Params, Tree, TreePoint};
 use crate::store::model::{NodeHead, ScanId};
-use crate::store::{NodeIndex, ScanTable, Snapshot, Writer};
+use crate::store::{Nodes, ScanTable, Snapshot, StoreError, Writer};
 use nodes::{Blocks, Stored};
 use std::sync::Arc;
 
@@ -30,7 +31,6 @@ pub(super) const POINT_BYTES: u64 = 140;
 /// What a change is made on.
 pub(super) struct Ground<'a> {
     pub snapshot: &'a Snapshot,
-    pub index: &'a NodeIndex,
     pub params: Params,
     /// All scans of the store and the new ones.
     pub scans: &'a Arc<ScanOrder>,
@@ -45,57 +45,57 @@ pub(super) fn change(
     layer: u16,
     doomed: &[ScanId],
     points: Vec<Point<'_>>,
-    cancelled: &(dyn Fn() -> bool + Sync),
+    progress: &dyn Progress,
 ) -> Result<Edit, IngestError> {
-    let blocks = Blocks::new(ground.index, layer);
-    let stored = Stored::new(ground, layer, &blocks, cancelled);
+    let blocks = Blocks::new(&ground.snapshot.nodes());
+    let stored = Stored::new(ground, layer, &blocks, progress);
     let root = ground.snapshot.site().roots.get(usize::from(layer)).copied().flatten();
     let mut tree = Tree::existing(ground.params, root, stored);
     if !doomed.is_empty() {
         let doomed = DoomedScans { scans: doomed, order: ground.scans };
-        tree.nodes().prefetch_where(|head| doomed.own(head) > 0)?;
+        tree.nodes().prefetch_where(|head| doomed.own(head) > 0, |head| doomed.subtree(head) > 0)?;
         tree.remove(&doomed)?;
     }
     if !points.is_empty() {
         tree.nodes().prefetch(&points, ground.params)?;
         tree.insert(points)?;
     }
+    progress.stage(Stage::Build, tree.nodes().written_points());
     finish::finish(ground, writer, layer, &tree)
 }
 
 /// How many stored points of a layer lie in nodes that would receive at least one of `points`, which ascend: what
-/// putting them in there would rewrite, about.
-pub(super) fn touched(index: &NodeIndex, layer: u16, points: &[Point<'_>]) -> u64 {
-    let Some(root) = index.root(layer) else { return 0 };
-    let mut open = vec![(root, inside(points, index.head(root).cube))];
+/// putting them in there would rewrite, about. `None` if they are more than `most`.
+pub(super) fn touched(nodes: &Nodes, layer: u16, points: &[Point<'_>], most: u64) -> Result<Option<u64>, StoreError> {
+    let Some(root) = nodes.root(layer)? else { return Ok(Some(0)) };
+    let mut open = vec![(inside(points, root.cube), root)];
     let mut touched = 0;
-    while let Some((node, points)) = open.pop() {
+    while let Some((points, node)) = open.pop() {
         if points.is_empty() {
             continue;
         }
-        touched += index.head(node).own_points;
-        open.extend(index.children(node).map(|child| (child, inside(points, index.head(child).cube))));
+        touched += node.own_points;
+        if touched > most {
+            return Ok(None);
+        }
+        open.extend(nodes.children(&node)?.map(|child| (inside(points, child.cube), child)));
     }
-    touched
+    Ok(Some(touched))
 }
 
 /// How many stored points of a layer lie where `scans` have points, or below: what taking them out may rewrite, at most.
-pub(super) fn touched_by_removal(index: &NodeIndex, layer: u16, scans: &[ScanId]) -> u64 {
-    let Some(root) = index.root(layer) else { return 0 };
-    let has = |node| {
-        let counts = &index.head(node).scans;
-        counts.iter().any(|c| scans.binary_search(&c.scan).is_ok())
-    };
+pub(super) fn touched_by_removal(nodes: &Nodes, layer: u16, scans: &[ScanId]) -> Result<u64, StoreError> {
+    let has = |node: &NodeHead| node.scans.iter().any(|c| scans.binary_search(&c.scan).is_ok());
     // A node is touched if it or an ancestor loses a point inside its cube; that ancestors lose one is a guess.
-    let mut open = vec![root];
+    let mut open: Vec<_> = nodes.root(layer)?.into_iter().collect();
     let mut points = 0;
     while let Some(node) = open.pop() {
-        if has(node) {
-            points += index.head(node).own_points;
-            open.extend(index.children(node));
+        if has(&node) {
+            points += node.own_points;
+            open.extend(nodes.children(&node)?);
         }
     }
-    points
+    Ok(points)
 }
 
 /// Those of ascending points that lie in a cube.
@@ -119,17 +119,20 @@ impl DoomedScans<'_> {
     fn own(&self, head: &NodeHead) -> u64 {
         head.scans.iter().filter(|c| self.has(c.scan)).map(|c| c.own).sum()
     }
+
+    fn subtree(&self, head: &NodeHead) -> u64 {
+        head.scans.iter().filter(|c| self.has(c.scan)).map(|c| c.subtree).sum()
+    }
 }
 
 impl<'a> Doomed<Stored<'a>> for DoomedScans<'_> {
     // A node is asked for before anything in it changes, so what the store's row says is still true.
     fn own(&self, nodes: &Stored<'a>, cube: Cube) -> Result<u64, IngestError> {
-        Ok(nodes.head(cube).map_or(0, |head| self.own(head)))
+        Ok(nodes.stored(cube)?.map_or(0, |node| self.own(&node)))
     }
 
     fn subtree(&self, nodes: &Stored<'a>, cube: Cube) -> Result<u64, IngestError> {
-        let counts = nodes.head(cube).map_or(&[][..], |head| &head.scans);
-        Ok(counts.iter().filter(|c| self.has(c.scan)).map(|c| c.subtree).sum())
+        Ok(nodes.stored(cube)?.map_or(0, |node| self.subtree(&node)))
     }
 
     fn takes(&self, point: &Point<'a>) -> bool {

@@ -1,6 +1,7 @@
 //! The nodes of one layer of a snapshot, under the changes that were made to them.
 
 use super::super::IngestError;
+use super::super::progress::Progress;
 use super::Ground;
 use super::point::{Block, Point, ScanOrder};
 use super::pool::Pool;
@@ -8,26 +9,30 @@ use crate::codec::Decoder;
 use crate::lattice::{Cube, Key, LatticeBox, NodeKey, SortKey};
 use crate::octree::{Nodes, Params, Row, TreePoint};
 use crate::store::model::NodeHead;
-use crate::store::{NodeIndex, NodeIx, Snapshot, decode_part, decode_part_keys};
+use crate::store::{self, NodeIx, Snapshot, decode_part, decode_part_keys};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock};
+
+/// Neighbouring nodes whose cells are made together.
+const CELLS: usize = 64;
 
 /// The stored points of the nodes that were read; each node is read once.
 pub(super) struct Blocks {
-    first: NodeIx,
-    cells: Vec<OnceLock<Block>>,
+    /// By the nodes' numbers; those of most nodes are never made.
+    cells: Vec<OnceLock<Box<[OnceLock<Block>]>>>,
     decoders: Pool<Decoder>,
 }
 
 impl Blocks {
-    pub fn new(index: &NodeIndex, layer: u16) -> Self {
-        let nodes = index.layer(layer);
-        Self { first: nodes.start, cells: nodes.map(|_| OnceLock::new()).collect(), decoders: Pool::default() }
+    pub fn new(nodes: &store::Nodes) -> Self {
+        let groups = usize::try_from(nodes.len()).unwrap_or(usize::MAX).div_ceil(CELLS);
+        Self { cells: (0..groups).map(|_| OnceLock::new()).collect(), decoders: Pool::default() }
     }
 
     fn cell(&self, node: NodeIx) -> &OnceLock<Block> {
-        &self.cells[(node - self.first) as usize]
+        let group = self.cells[node as usize / CELLS].get_or_init(|| (0..CELLS).map(|_| OnceLock::new()).collect());
+        &group[node as usize % CELLS]
     }
 }
 
@@ -50,34 +55,57 @@ pub(super) enum Own<'a> {
 /// See the module.
 pub(super) struct Stored<'a> {
     snapshot: &'a Snapshot,
-    pub index: &'a NodeIndex,
+    nodes: store::Nodes,
     pub layer: u16,
     scans: &'a Arc<ScanOrder>,
     blocks: &'a Blocks,
+    /// The store's rows that were looked for, also in vain.
+    known: RwLock<HashMap<NodeKey, Option<store::Node>>>,
     changes: Mutex<BTreeMap<NodeKey, Change<'a>>>,
-    cancelled: &'a (dyn Fn() -> bool + Sync),
+    progress: &'a dyn Progress,
 }
 
 impl<'a> Stored<'a> {
-    pub fn new(ground: &Ground<'a>, layer: u16, blocks: &'a Blocks, cancelled: &'a (dyn Fn() -> bool + Sync)) -> Self {
-        let Ground { snapshot, index, scans, .. } = *ground;
-        Self { snapshot, index, layer, scans, blocks, changes: Mutex::default(), cancelled }
+    pub fn new(ground: &Ground<'a>, layer: u16, blocks: &'a Blocks, progress: &'a dyn Progress) -> Self {
+        let Ground { snapshot, scans, .. } = *ground;
+        let (nodes, known) = (snapshot.nodes(), RwLock::default());
+        Self { snapshot, nodes, layer, scans, blocks, known, changes: Mutex::default(), progress }
+    }
+
+    /// So many points are encoded.
+    pub fn advance(&self, points: usize) {
+        self.progress.advance(points as u64);
     }
 
     /// An error if the change is to stop.
     pub fn go_on(&self) -> Result<(), IngestError> {
-        if (self.cancelled)() { Err(IngestError::Interrupted) } else { Ok(()) }
+        if self.progress.cancelled() { Err(IngestError::Interrupted) } else { Ok(()) }
     }
 
     /// The row of the store.
-    pub fn head(&self, cube: Cube) -> Option<&'a NodeHead> {
-        self.index.find(self.layer, cube).map(|node| self.index.head(node))
+    pub fn stored(&self, cube: Cube) -> Result<Option<store::Node>, IngestError> {
+        let key = cube.node_key();
+        if let Some(known) = self.known.read().unwrap_or_else(PoisonError::into_inner).get(&key) {
+            return Ok(known.clone());
+        }
+        let found = self.nodes.find(self.layer, cube)?;
+        self.known.write().unwrap_or_else(PoisonError::into_inner).insert(key, found.clone());
+        Ok(found)
     }
 
     /// What was changed, by node.
     pub fn changes(&self) -> MutexGuard<'_, BTreeMap<NodeKey, Change<'a>>> {
         // Every change is whole after one statement.
         self.changes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Points of all nodes that were written.
+    pub fn written_points(&self) -> u64 {
+        let points = |change: &Change<'_>| match change {
+            Change::Here { own: Own::New(points), .. } => points.len() as u64,
+            Change::Here { own: Own::Kept, .. } | Change::Gone => 0,
+        };
+        self.changes().values().map(points).sum()
     }
 
     /// The points of a node that was written.
@@ -91,51 +119,60 @@ impl<'a> Stored<'a> {
     /// Reads, on all threads, nodes that are certain to receive at least one of `points`, which ascend: of two points in
     /// one of the parent's cells one goes down. Others are read when a point arrives.
     pub fn prefetch(&self, points: &[Point<'_>], params: Params) -> Result<(), IngestError> {
-        let Some(root) = self.index.root(self.layer) else { return Ok(()) };
-        let mut nodes = Vec::new();
-        let mut open = vec![(root, super::inside(points, self.index.head(root).cube))];
-        while let Some((node, points)) = open.pop() {
-            let cell = params.cell(self.index.head(node).cube.k() + 1);
+        let Some(root) = self.nodes.root(self.layer)? else { return Ok(()) };
+        let mut certain = Vec::new();
+        let mut open = vec![(super::inside(points, root.cube), root)];
+        while let Some((points, node)) = open.pop() {
+            let cell = params.cell(node.cube.k() + 1);
             if points.windows(2).any(|pair| pair[0].key().differing_digit(pair[1].key()) < cell) {
-                nodes.push(node);
-                let inside = |child| (child, super::inside(points, self.index.head(child).cube));
-                open.extend(self.index.children(node).map(inside));
+                open.extend(self.nodes.children(&node)?.map(|child| (super::inside(points, child.cube), child)));
+                certain.push(node);
             }
         }
-        self.read_all(nodes)
+        self.read_all(&certain)
     }
 
-    /// Reads the nodes whose row passes `test`, on all threads.
-    pub fn prefetch_where(&self, test: impl Fn(&NodeHead) -> bool) -> Result<(), IngestError> {
-        self.read_all(self.index.layer(self.layer).filter(|&node| test(self.index.head(node))).collect())
+    /// Reads, on all threads, the nodes whose row passes `own`, of subtrees whose row passes `any`.
+    pub fn prefetch_where(
+        &self,
+        own: impl Fn(&NodeHead) -> bool,
+        any: impl Fn(&NodeHead) -> bool,
+    ) -> Result<(), IngestError> {
+        let mut found = Vec::new();
+        let mut open: Vec<store::Node> = self.nodes.root(self.layer)?.into_iter().collect();
+        while let Some(node) = open.pop().filter(|node| any(node)) {
+            open.extend(self.nodes.children(&node)?.filter(|child| any(child)));
+            if own(&node) {
+                found.push(node);
+            }
+        }
+        self.read_all(&found)
     }
 
-    fn read_all(&self, nodes: Vec<NodeIx>) -> Result<(), IngestError> {
-        nodes.into_par_iter().try_for_each(|node| self.block(node).map(drop))
+    fn read_all(&self, nodes: &[store::Node]) -> Result<(), IngestError> {
+        nodes.par_iter().try_for_each(|node| self.block(node).map(drop))
     }
 
-    fn block(&self, node: NodeIx) -> Result<&'a Block, IngestError> {
-        let cell = self.blocks.cell(node);
+    fn block(&self, node: &store::Node) -> Result<&'a Block, IngestError> {
+        let cell = self.blocks.cell(node.ix());
         if let Some(block) = cell.get() {
             return Ok(block);
         }
         self.go_on()?;
-        let head = self.index.head(node);
         let parts = self.blocks.decoders.lend(|decoder| {
-            let parts = (0..head.parts.len()).map(|part| decode_part(self.snapshot, head, part, decoder));
+            let parts = (0..node.parts.len()).map(|part| decode_part(self.snapshot, node, part, decoder));
             parts.collect::<Result<_, _>>()
         });
-        let block = Block::of_parts(self.scans, head.cube, parts?)?;
+        let block = Block::of_parts(self.scans, node.cube, parts?)?;
         // Another thread may have been faster; it has read the same.
         Ok(cell.get_or_init(|| block))
     }
 
     fn stored_points(&self, cube: Cube) -> Result<Vec<Point<'a>>, IngestError> {
-        let Some(node) = self.index.find(self.layer, cube) else { return Ok(Vec::new()) };
-        if self.index.head(node).own_points == 0 {
-            return Ok(Vec::new());
+        match self.stored(cube)? {
+            Some(node) if node.own_points > 0 => Ok(self.block(&node)?.points().collect()),
+            _ => Ok(Vec::new()),
         }
-        Ok(self.block(node)?.points().collect())
     }
 
     /// The keys of the points that a node stores, ascending. Of a node that was not read, the positions alone are.
@@ -143,24 +180,25 @@ impl<'a> Stored<'a> {
         if let Some(points) = self.written(cube) {
             return Ok(points.iter().map(TreePoint::key).collect());
         }
-        let Some(node) = self.index.find(self.layer, cube) else { return Ok(Vec::new()) };
-        if let Some(block) = self.blocks.cell(node).get() {
+        let Some(node) = self.stored(cube)? else { return Ok(Vec::new()) };
+        if let Some(block) = self.blocks.cell(node.ix()).get() {
             return Ok(block.points().map(|p| p.key()).collect());
         }
-        let head = self.index.head(node);
         let mut decoder = Decoder::new();
         let mut keys = Vec::new();
-        for part in 0..head.parts.len() {
-            keys.append(&mut decode_part_keys(self.snapshot, head, part, &mut decoder)?);
+        for part in 0..node.parts.len() {
+            keys.append(&mut decode_part_keys(self.snapshot, &node, part, &mut decoder)?);
         }
         keys.sort_unstable();
         Ok(keys)
     }
 
-    /// Does the store have just these points in this node?
-    pub fn has_just(&self, cube: Cube, points: &[Point<'_>]) -> bool {
-        let block = self.index.find(self.layer, cube).and_then(|node| self.blocks.cell(node).get());
-        block.is_some_and(|b| b.points().len() == points.len() && b.points().zip(points).all(|(a, b)| a.is(b)))
+    /// Does the store have just these points in this inner node?
+    pub fn has_just(&self, cube: Cube, points: &[Point<'_>]) -> Result<bool, IngestError> {
+        let Some(node) = self.stored(cube)?.filter(|node| !node.leaf) else { return Ok(false) };
+        let block = self.blocks.cell(node.ix()).get();
+        let same = |b: &Block| b.points().len() == points.len() && b.points().zip(points).all(|(a, b)| a.is(b));
+        Ok(block.is_some_and(same))
     }
 }
 
@@ -169,18 +207,19 @@ impl<'a> Nodes for Stored<'a> {
     type Error = IngestError;
 
     fn row(&self, cube: Cube) -> Result<Option<Row>, IngestError> {
-        let stored = || self.head(cube);
-        Ok(match self.changes().get(&cube.node_key()) {
-            Some(Change::Gone) => None,
-            Some(Change::Here { leaf, rem, own }) => {
-                let own = match own {
-                    Own::Kept => stored().map_or(0, |h| h.own_points),
-                    Own::New(points) => points.len() as u64,
-                };
-                Some(Row { leaf: *leaf, rem: *rem, own })
+        let changed = match self.changes().get(&cube.node_key()) {
+            Some(Change::Gone) => return Ok(None),
+            Some(Change::Here { leaf, rem, own: Own::New(points) }) => {
+                return Ok(Some(Row { leaf: *leaf, rem: *rem, own: points.len() as u64 }));
             }
-            None => stored().map(|h| Row { leaf: h.leaf, rem: h.subtree_points, own: h.own_points }),
-        })
+            Some(Change::Here { leaf, rem, own: Own::Kept }) => Some((*leaf, *rem)),
+            None => None,
+        };
+        // Not under the lock, which all threads want.
+        let stored = self.stored(cube)?;
+        let own = stored.as_ref().map_or(0, |node| node.own_points);
+        let unchanged = stored.map(|node| (node.leaf, node.subtree_points));
+        Ok(changed.or(unchanged).map(|(leaf, rem)| Row { leaf, rem, own }))
     }
 
     fn read(&self, cube: Cube) -> Result<Vec<Point<'a>>, IngestError> {
@@ -200,22 +239,20 @@ impl<'a> Nodes for Stored<'a> {
     }
 
     fn set_rem(&self, cube: Cube, new: u64) -> Result<(), IngestError> {
+        let stored = self.stored(cube)?;
         let mut changes = self.changes();
-        match changes.get_mut(&cube.node_key()) {
-            Some(Change::Here { rem, .. }) => *rem = new,
-            Some(Change::Gone) => {}
-            None => {
-                if let Some(head) = self.head(cube) {
-                    let change = Change::Here { leaf: head.leaf, rem: new, own: Own::Kept };
-                    changes.insert(cube.node_key(), change);
-                }
+        match (changes.get_mut(&cube.node_key()), stored) {
+            (Some(Change::Here { rem, .. }), _) => *rem = new,
+            (None, Some(node)) => {
+                changes.insert(cube.node_key(), Change::Here { leaf: node.leaf, rem: new, own: Own::Kept });
             }
+            (Some(Change::Gone), _) | (None, None) => {}
         }
         Ok(())
     }
 
     fn delete(&self, cube: Cube) -> Result<(), IngestError> {
-        if self.head(cube).is_some() {
+        if self.stored(cube)?.is_some() {
             self.changes().insert(cube.node_key(), Change::Gone);
         } else {
             self.changes().remove(&cube.node_key());
@@ -225,19 +262,17 @@ impl<'a> Nodes for Stored<'a> {
 
     fn bounds(&self, cube: Cube) -> Result<Option<LatticeBox>, IngestError> {
         let changes = self.changes();
-        let reaches = |cube: Cube| {
-            changes.range(cube.node_key()..=cube.last_node_key()).next().is_some() || self.head(cube).is_some()
-        };
+        let is_changed = |cube: Cube| changes.range(cube.node_key()..=cube.last_node_key()).next().is_some();
         let mut bounds: Option<LatticeBox> = None;
         let mut open = vec![cube];
         while let Some(cube) = open.pop() {
-            let changed = changes.range(cube.node_key()..=cube.last_node_key()).next().is_some();
-            let found = match (changes.get(&cube.node_key()), self.head(cube)) {
-                (None, Some(head)) if !changed => Some(head.subtree_bounds),
+            let changed = is_changed(cube);
+            let found = match (changes.get(&cube.node_key()), self.stored(cube)?) {
+                (None, Some(node)) if !changed => Some(node.subtree_bounds),
                 (Some(Change::Here { own: Own::New(points), .. }), _) => {
                     points.iter().map(|p| LatticeBox::of(p.key().point())).reduce(|a, b| a.union(&b))
                 }
-                (None | Some(Change::Here { .. }), head) => head.and_then(|h| h.own_bounds),
+                (None | Some(Change::Here { .. }), node) => node.and_then(|node| node.own_bounds),
                 (Some(Change::Gone), _) => None,
             };
             bounds = match (bounds, found) {
@@ -246,7 +281,11 @@ impl<'a> Nodes for Stored<'a> {
             };
             if changed {
                 // A node that is gone may leave children: the abandoned chain of a root that shrinks.
-                open.extend((0..8).filter_map(|octant| cube.child(octant)).filter(|c| reaches(*c)));
+                for child in (0..8).filter_map(|octant| cube.child(octant)) {
+                    if is_changed(child) || self.stored(child)?.is_some() {
+                        open.push(child);
+                    }
+                }
             }
         }
         Ok(bounds)

@@ -171,12 +171,11 @@ fn a_removed_scan_reads_and_writes_the_nodes_that_lose_points_and_those_that_fil
             let store = Store::open(&store_path)?;
             let mut writer = context.writer(&store)?;
             let snapshot = store.snapshot()?;
-            let index = snapshot.index()?;
             let doomed: Vec<ScanId> = snapshot.scans().iter().filter(|s| s.name == "patch").map(|s| s.id).collect();
             let order = Arc::new(ScanOrder::new(snapshot.scans(), writer.attributes()));
             let table = scan_table(writer.attributes(), snapshot.scans());
             let params = Params { g: 2, leaf_capacity: 20 };
-            let ground = Ground { snapshot: &snapshot, index: &index, params, scans: &order, table: &table };
+            let ground = Ground { snapshot: &snapshot, params, scans: &order, table: &table };
             let edit = withdraw(context, &ground, &mut writer, 0, &doomed)?.unwrap();
             let reads = snapshot.take_reads();
             let flip = Flip { scans_removed: doomed, ..joined(snapshot.site(), vec![edit]) };

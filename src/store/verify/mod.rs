@@ -193,7 +193,11 @@ fn check_scans(
     report: &mut Report,
 ) {
     let of_scan = |id: ScanId, what: String| Finding { table: "scan".into(), key: format!("scan {id}"), what };
-    report.add(super::flip::conservation(index, snapshot.scans()).into_iter().map(|(id, what)| of_scan(id, what)));
+    report.add(
+        super::flip::conservation(index.roots().map(|root| index.head(root)), snapshot.scans())
+            .into_iter()
+            .map(|(id, what)| of_scan(id, what)),
+    );
     for scan in snapshot.scans() {
         report.scans += 1;
         let (points, bounds) = tally.get(&scan.id).copied().unwrap_or_default();

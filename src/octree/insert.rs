@@ -121,31 +121,52 @@ fn wins_after<P: TreePoint>(above: &[Key], points: &[P]) -> Vec<i8> {
 /// Parts two ascending runs of points into the first of every cell of exponent `cell` where `above` has none, and the
 /// others.
 fn first_of_cells<P: TreePoint>(own: &[P], incoming: &[P], above: &[Key], cell: i8) -> (Vec<P>, Vec<P>) {
-    let (mut own, mut incoming) = (own.iter().peekable(), incoming.iter().peekable());
-    let mut above = above.iter().peekable();
+    let cell = u8::try_from(cell).unwrap_or(0).min(BITS);
+    let (mut own, mut incoming, mut above) = (own, incoming, above);
     let (mut first, mut others) = (Vec::with_capacity(own.len()), Vec::with_capacity(incoming.len()));
-    // The last point met, of those above or here.
-    let mut last: Option<Key> = None;
+    // Cell by cell: where they are large, most of a cell's points go down as they lie.
     loop {
-        let next = match (own.peek(), incoming.peek()) {
-            (Some(a), Some(b)) => {
-                if b < a {
-                    incoming.next()
-                } else {
-                    own.next()
-                }
-            }
-            (Some(_), None) => own.next(),
-            (None, _) => incoming.next(),
+        let next = match (own.first(), incoming.first()) {
+            (Some(a), Some(b)) => a.key().min(b.key()),
+            (Some(point), None) | (None, Some(point)) => point.key(),
+            (None, None) => return (first, others),
         };
-        let Some(point) = next else { return (first, others) };
-        let key = point.key();
-        // An ancestor's point comes before all others of its cell.
-        while let Some(key) = above.next_if(|above| **above <= key) {
-            last = Some(*key);
+        let prefix = next.prefix(cell);
+        let mut ours = take_cell(&mut own, TreePoint::key, prefix, cell);
+        let mut new = take_cell(&mut incoming, TreePoint::key, prefix, cell);
+        above = &above[leading(above, |key| key.prefix(cell) < prefix)..];
+        let is_free = above.first().is_none_or(|key| key.prefix(cell) != prefix);
+        if is_free {
+            let from = match (ours.first(), new.first()) {
+                (Some(a), Some(b)) if b < a => &mut new,
+                (Some(_), _) => &mut ours,
+                (None, _) => &mut new,
+            };
+            if let Some((least, rest)) = from.split_first() {
+                first.push(least.clone());
+                *from = rest;
+            }
         }
-        let is_first = last.is_none_or(|last| last.differing_digit(key) >= cell);
-        last = Some(key);
-        if is_first { first.push(point.clone()) } else { others.push(point.clone()) }
+        match (ours, new) {
+            (all, []) | ([], all) => others.extend_from_slice(all),
+            (ours, new) => others.append(&mut merged(ours, new)),
+        }
     }
+}
+
+/// Takes the leading run of one cell.
+fn take_cell<'p, P>(points: &mut &'p [P], key: impl Fn(&P) -> Key, prefix: Key, cell: u8) -> &'p [P] {
+    let (run, rest) = points.split_at(leading(points, |point| key(point).prefix(cell) == prefix));
+    *points = rest;
+    run
+}
+
+/// How many at the start pass a test that none after them does: in steps that grow, since runs may be of any length.
+fn leading<T>(items: &[T], test: impl Fn(&T) -> bool) -> usize {
+    let mut reach = 1;
+    while reach <= items.len() && test(&items[reach - 1]) {
+        reach *= 2;
+    }
+    let passed = reach / 2;
+    passed + items[passed..items.len().min(reach - 1)].partition_point(test)
 }

@@ -5,7 +5,7 @@ use crate::geometry::{Camera, DVec3, Projection};
 use crate::lattice::LatticePoint;
 use crate::octree::even_order;
 
-fn camera(test: &TestStore, eye: [f64; 3], size: u32) -> Camera {
+pub fn camera(test: &TestStore, eye: [f64; 3], size: u32) -> Camera {
     let middle = test.points.first().map_or([0.0; 3], |p| test.lattice.world_from_lattice(p.at()));
     let target = DVec3::from_array(middle);
     let projection = Projection::Perspective { fov_y_rad: 0.8 };
@@ -13,13 +13,13 @@ fn camera(test: &TestStore, eye: [f64; 3], size: u32) -> Camera {
     Camera::new(eye, target, DVec3::new(0.1, 0.2, 0.9), projection, [size, size]).unwrap()
 }
 
-fn visible(test: &TestStore, camera: &Camera) -> Vec<Point> {
+pub fn visible(test: &TestStore, camera: &Camera) -> Vec<Point> {
     let frustum = camera.frustum();
     let relative = |p: &Point| DVec3::from_array(test.lattice.world_from_lattice(p.at())) - camera.eye();
     test.points.iter().filter(|p| frustum.contains(relative(p))).copied().collect()
 }
 
-fn eye() -> impl Strategy<Value = [f64; 3]> {
+pub fn eye() -> impl Strategy<Value = [f64; 3]> {
     prop::array::uniform3(prop_oneof![-40.0_f64..40.0, -3.0_f64..3.0])
         .prop_filter("a direction", |e| e.iter().any(|c| c.abs() > 0.5) && (e[0].abs() > 0.2 || e[1].abs() > 0.3))
 }

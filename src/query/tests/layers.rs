@@ -1,0 +1,135 @@
+//! Stores of several layers, as a thin scan leaves them: the answers are those of the same points in one layer, and
+//! bounds, capacities and views keep their promises.
+
+use super::views::{camera, eye, visible};
+use super::*;
+
+/// The same points in a few layers: one of nearly all of them, thin ones, sometimes one that was given up.
+fn layered() -> impl Strategy<Value = Vec<Vec<Point>>> {
+    (places(110), 2_u32..4, any::<bool>()).prop_map(|(places, layers, empty)| {
+        let points = numbered(places);
+        let of = |layer: u32| {
+            let here = |p: &&Point| [0, 0, 1, 0, 2, 0, 0][p.id as usize % 7].min(layers - 1) == layer;
+            points.iter().filter(here).copied().collect::<Vec<_>>()
+        };
+        let mut all: Vec<Vec<Point>> = (0..layers).map(of).collect();
+        if empty {
+            all.insert(1, Vec::new());
+        }
+        all
+    })
+}
+
+fn in_one(layers: &[Vec<Point>]) -> Vec<Vec<Point>> {
+    vec![ascending(layers.concat())]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(80))]
+
+    #[test]
+    fn regions_are_answered_as_in_one_layer(
+        layers in layered(), params in params(), asked in asked(), c in 0_u8..8,
+        hidden in prop::sample::select(vec![None, None, Some(1), Some(2)]),
+    ) {
+        let (test, one) = (store(&layers, params, hidden), store(&in_one(&layers), params, hidden));
+        let matches = asked.matches(&test, hidden);
+        let all: Vec<Point> = test.points.iter().filter(|p| matches(p)).copied().collect();
+        let (found, answer) = collect(asked.query(&test), &test);
+        prop_assert_eq!(ascending(found), all.clone());
+        prop_assert_eq!(answer.error_bound, Some(0.0));
+        prop_assert_eq!(asked.query(&test).count(&test.snapshot).unwrap().points, all.len() as u64);
+        // Alone, and after a level.
+        for spacing in [None, Some(2_f64.powi(c.into()) * QUANTUM)] {
+            let detailed = |test: &TestStore| match spacing {
+                Some(spacing) => asked.query(test).detail(Detail::Spacing(spacing)),
+                None => asked.query(test),
+            };
+            let whole = ascending(collect(detailed(&test), &test).0);
+            prop_assert_eq!(&whole, &ascending(collect(detailed(&one), &one).0));
+            let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
+            for capacity in 0..=whole.len() + 1 {
+                let (found, answer) = collect(detailed(&test).capacity(capacity as u64), &test);
+                let found = ascending(found);
+                prop_assert_eq!(found.len(), capacity.min(whole.len()));
+                prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
+                let (same, promised) = collect(detailed(&one).capacity(capacity as u64), &one);
+                prop_assert_eq!(&found, &ascending(same), "{} points", capacity);
+                prop_assert_eq!(answer.error_bound, promised.error_bound, "{} points", capacity);
+                match answer.error_bound {
+                    Some(bound) => {
+                        prop_assert!(hausdorff(&all, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
+                        prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
+                        last = Some(bound);
+                    }
+                    None => prop_assert!(found.is_empty() && last.is_none(), "{} points and no bound", capacity),
+                }
+                before = found;
+            }
+        }
+    }
+
+    #[test]
+    fn views_nest_and_keep_their_promise_over_layers(
+        layers in layered(), params in params(), asked in asked(), eye in eye(),
+        size in prop::sample::select(vec![2_u32, 16, 200, 2000]), is_filtered in any::<bool>(),
+    ) {
+        let test = store(&layers, params, None);
+        let camera = camera(&test, eye, size);
+        let matches = asked.matches(&test, None);
+        let view = |test: &TestStore, max_error_px: f64| {
+            let query = if is_filtered { asked.query(test) } else { Query::new().with_scans(true) };
+            query.view(camera.clone(), max_error_px)
+        };
+        let query = || view(&test, 1.0);
+        let wanted = |p: &Point| !is_filtered || matches(p);
+        let seen: Vec<Point> = visible(&test, &camera).into_iter().filter(wanted).collect();
+        let (all, unlimited) = collect(query(), &test);
+        prop_assert!(all.iter().all(wanted));
+        prop_assert!(unlimited.error_bound.is_some() || all.is_empty());
+        let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
+        for capacity in 0..=all.len() + 1 {
+            let (found, answer) = collect(query().capacity(capacity as u64), &test);
+            let found = ascending(found);
+            prop_assert_eq!(found.len(), capacity.min(all.len()));
+            prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
+            match answer.error_bound {
+                Some(bound) => {
+                    prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
+                    prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
+                    last = Some(bound);
+                }
+                // A layer that has not been begun says nothing of its points.
+                None => prop_assert!(last.is_none(), "{} points and no bound any more", capacity),
+            }
+            before = found;
+        }
+        prop_assert_eq!(last, unlimited.error_bound);
+        let (finest, answer) = collect(view(&test, 0.0), &test);
+        let finest = ascending(finest);
+        prop_assert!(seen.iter().all(|p| finest.binary_search(p).is_ok()));
+        prop_assert_eq!(answer.error_bound, Some(0.0));
+        // Of what is seen, that is what one layer gives.
+        let one = store(&in_one(&layers), params, None);
+        let (same, _) = collect(view(&one, 0.0), &one);
+        let seen_of = |found: &[Point]| seen.iter().filter(|p| found.contains(p)).copied().collect::<Vec<_>>();
+        prop_assert_eq!(seen_of(&finest), seen_of(&same));
+    }
+
+    #[test]
+    fn neighbours_and_densities_are_those_of_one_layer(
+        layers in layered(), params in params(), asked in asked(), near in prop::array::uniform3(-3.0_f64..20.0),
+        k in 1_usize..6, side in prop::sample::select(vec![0.3, 1.0, 7.5]),
+    ) {
+        let (test, one) = (store(&layers, params, None), store(&in_one(&layers), params, None));
+        let corner = test.points.first().map_or([0.0; 3], |p| test.lattice.world_from_lattice(p.at()));
+        let place = [std::array::from_fn(|axis| corner[axis] + near[axis])];
+        let of = |test: &TestStore| {
+            let found = asked.query(test).nearest(&test.snapshot, &place, k, None).unwrap();
+            let density = asked.query(test).density(&test.snapshot, side).unwrap();
+            let at: Vec<_> = found.batch.positions.iter().collect();
+            (at, found.distances, found.ends, density.first, density.size, density.counts)
+        };
+        prop_assert_eq!(of(&test), of(&one));
+    }
+}

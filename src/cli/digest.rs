@@ -17,6 +17,9 @@ pub(super) struct Arguments {
     store: PathBuf,
     #[command(flatten)]
     changing: Changing,
+    /// One JSON object on stdout.
+    #[arg(long)]
+    json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
@@ -24,7 +27,12 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let result = digest(&arguments.store, &arguments.changing.resources(), &shown);
     shown.clear();
     let digest = result?;
-    output::line(format_args!("points {}", digest.points))?;
-    output::line(format_args!("scans {}", digest.scans))?;
+    if arguments.json {
+        let [points, scans] = [digest.points, digest.scans].map(|hash| hash.to_string());
+        output::json(&serde_json::json!({ "points": points, "scans": scans }))?;
+    } else {
+        output::line(format_args!("points {}", digest.points))?;
+        output::line(format_args!("scans {}", digest.scans))?;
+    }
     Ok(Outcome::Done)
 }

@@ -144,9 +144,9 @@ pub(super) fn print(report: &Report) -> std::io::Result<()> {
             n => format!(", {} rejected", output::grouped(n)),
         };
         output::line(format_args!(
-            "{}: {} points stored{rejected}; positions {}{error}",
+            "{}: {} stored{rejected}; positions {}{error}",
             output::clean(&scan.name),
-            output::grouped(scan.stored),
+            output::counted(scan.stored, "point"),
             scan.positions,
         ))?;
     }
@@ -154,13 +154,20 @@ pub(super) fn print(report: &Report) -> std::io::Result<()> {
         output::line(format_args!("{}: skipped, {}", output::clean(&skipped.path), skipped.reason))?;
     }
     if report.points > 0 {
+        // Of a few points the rate is that of opening the store.
+        let rate = match report.points_per_second / 1e6 {
+            rate if rate >= 0.1 => format!(" ({rate:.1} million a second)"),
+            _ => String::new(),
+        };
+        let temp = match report.temp_bytes {
+            0 => String::new(),
+            bytes => format!(", temporary file {}", output::bytes(bytes)),
+        };
         output::line(format_args!(
-            "{} points in {:.1} s ({:.1} million a second), memory {}, temporary file {}",
-            output::grouped(report.points),
+            "{} in {:.1} s{rate}, memory {}{temp}",
+            output::counted(report.points, "point"),
             report.seconds,
-            report.points_per_second / 1e6,
             output::bytes(report.peak_memory_bytes),
-            output::bytes(report.temp_bytes),
         ))?;
     }
     Ok(())

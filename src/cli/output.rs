@@ -48,6 +48,11 @@ pub(super) fn grouped(n: u64) -> String {
     text
 }
 
+/// `1 point`, `2,000 points`.
+pub(super) fn counted(n: u64, what: &str) -> String {
+    format!("{} {what}{}", grouped(n), if n == 1 { "" } else { "s" })
+}
+
 /// A size for people: `12.3 MiB`.
 pub(super) fn bytes(n: u64) -> String {
     let mut value = n as f64;
@@ -78,6 +83,7 @@ mod tests {
     fn numbers_and_sizes_read_well() {
         assert_eq!(grouped(0), "0");
         assert_eq!(grouped(1_234_567), "1,234,567");
+        assert_eq!([0, 1, 2000].map(|n| counted(n, "node")), ["0 nodes", "1 node", "2,000 nodes"]);
         assert_eq!(bytes(1023), "1023 B");
         assert_eq!(bytes(1536), "1.5 KiB");
         assert_eq!(clean("a\u{1b}[31m\n"), "a\u{fffd}[31m\u{fffd}");

@@ -37,8 +37,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             output::line(format_args!("{}: removed", output::clean(name)))?;
         }
         output::line(format_args!(
-            "{} points removed in {:.2} s; the file has {} now, {} before",
-            output::grouped(removed.points),
+            "{} removed in {:.2} s; the file has {} now, {} before",
+            output::counted(removed.points, "point"),
             removed.seconds,
             output::bytes(removed.bytes_after),
             output::bytes(removed.bytes_before),

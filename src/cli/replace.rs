@@ -62,6 +62,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     if arguments.json {
         output::json(&serde_json::to_value(&report)?)?;
     } else {
+        output::line(format_args!("{}: replaced", output::clean(&arguments.scan)))?;
         super::ingest::print(&report)?;
     }
     let rejected = report.scans.iter().any(|s| s.rejected > 0);

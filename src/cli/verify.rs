@@ -53,10 +53,10 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         }))?;
     } else if report.is_whole() {
         output::line(format_args!(
-            "whole: {} points in {} nodes, {} scans",
-            output::grouped(report.points),
-            output::grouped(report.nodes),
-            report.scans
+            "whole: {} in {}, {}",
+            output::counted(report.points, "point"),
+            output::counted(report.nodes, "node"),
+            output::counted(report.scans, "scan"),
         ))?;
     } else {
         for finding in &report.findings {

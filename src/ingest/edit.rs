@@ -7,7 +7,7 @@ use super::context::{Context, Resources};
 use super::layers::{digest_of_all, fold_all, fold_if_many, joined, scan_table, taken_layers, withdraw};
 use super::measure::measure;
 use super::progress::{Progress, Stage};
-use super::report::{Report, Stages};
+use super::report::{Report, Skipped, Stages};
 use super::run::{opened, remove_store};
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
@@ -129,10 +129,11 @@ pub fn replace(
         if let ([source], Some(old), None) = (&mut sources[..], old.first(), &options.name) {
             source.name = old.name.clone();
         }
-        let mut report = Report { skipped: opened.skipped, ..Report::default() };
-        if sources.is_empty() {
-            return Ok(report);
+        if let (true, Some(skipped)) = (sources.is_empty(), opened.skipped.first()) {
+            let Skipped { path: input, reason } = skipped.clone();
+            return Err(IngestError::NotReplaced { scan: scan.to_owned(), input, reason });
         }
+        let mut report = Report { skipped: opened.skipped, ..Report::default() };
         let (crs, notes) = sources::agree_on_crs(site_crs, &sources, options.ignore_crs)?;
         report.notes.extend(notes);
         let measured = measure(context, &sources, &mut stages)?;

@@ -62,6 +62,16 @@ pub enum IngestError {
         /// A name that is nearly it, in words.
         nearest: String,
     },
+    /// What is to take a scan's place is in the store as another scan.
+    #[error("'{scan}' was not replaced: {input}: {reason}")]
+    NotReplaced {
+        /// The scan that was to go.
+        scan: String,
+        /// What was to come.
+        input: String,
+        /// Why it does not come, in words.
+        reason: String,
+    },
     /// A store to be made is there already.
     #[error("{0} is there already; give the name of a new store")]
     OutputThere(PathBuf),

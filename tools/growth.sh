@@ -3,7 +3,9 @@
 #
 #   sh tools/growth.sh [FOLDER [MILLIONS...]]        (default: ./growth 5 20; "5 20 80" takes 6 GB of disk)
 #
-# Each site is a generated terrain; the scans are five squares of it, so they overlap as much of the site as they cover.
+# Each site is a generated terrain; the scans are five squares of it, moved by some centimetres, so they overlap as much of
+# the site as they cover. Other sites: a `site-MILLIONS.esker` in the folder with the seconds of its first ingest in
+# `site-MILLIONS.seconds`.
 # Prints the seconds of the first ingest, the median and the range of the seconds of adding and of removing, and the rows
 # of encoded columns that adding wrote (median). Sites that are there are used again.
 #
@@ -18,6 +20,7 @@ folder=${1:-growth}
 [ $# -gt 0 ] && shift
 [ $# -gt 0 ] || set -- 5 20
 mkdir -p "$folder"
+printf '1 0 0 0.13\n0 1 0 0.07\n0 0 1 0.02\n0 0 0 1\n' > "$folder/pose.txt"
 
 # A number of a JSON report.
 number() {
@@ -31,12 +34,12 @@ spread() {
 
 for millions in "$@"; do
     site=$folder/site-$millions
-    [ -e "$site.las" ] || "$ESKER" generate terrain --points "${millions}M" -o "$site.las"
     if [ ! -e "$site.esker" ]; then
+        [ -e "$site.las" ] || "$ESKER" generate terrain --points "${millions}M" -o "$site.las"
         "$ESKER" ingest "$site.esker" "$site.las" --json | number seconds > "$site.seconds"
     fi
-    rm -f "$site.added" "$site.removed" "$site.rows"
-    for place in 0.05,0.15 0.3,0.4 0.45,0.7 0.6,0.2 0.75,0.55; do
+    rm -f "$site.points" "$site.added" "$site.removed" "$site.rows"
+    for place in 0.05,0.15 0.3,0.4 0.45,0.5 0.6,0.2 0.75,0.45; do
         scan=$site-scan-$place.las
         if [ ! -e "$scan" ]; then
             # A square with about 200,000 points.
@@ -47,11 +50,12 @@ for millions in "$@"; do
                 }')
             "$ESKER" query "$site.esker" --box "$area" -o "$scan"
         fi
-        added=$("$ESKER" ingest "$site.esker" "$scan" --name scan --json)
+        added=$("$ESKER" ingest "$site.esker" "$scan" --name scan --pose "$folder/pose.txt" --json)
+        echo "$added" | number points >> "$site.points"
         echo "$added" | number seconds >> "$site.added"
         echo "$added" | number chunks_written >> "$site.rows"
         "$ESKER" remove "$site.esker" scan --json | number seconds >> "$site.removed"
     done
-    echo "$millions M points: built in $(cat "$site.seconds") s; 200,000 points added in $(spread "$site.added") s," \
+    echo "$millions M points: built in $(cat "$site.seconds") s; $(spread "$site.points") points added in $(spread "$site.added") s," \
         "$(spread "$site.rows") rows written; removed in $(spread "$site.removed") s"
 done

@@ -173,6 +173,7 @@ fn a_disk_that_fails_at_any_place_leaves_the_last_commit_or_the_next() {
     let mut random = Random(20_261_123);
     for change in &CHANGES {
         let (after, count) = site.trial(change);
+        println!("{}: {count} operations", change.name);
         assert!(count > 20, "{}: the shim saw {count} operations", change.name);
         for place in places(count, 6, &mut random) {
             let faults = [
@@ -324,6 +325,7 @@ fn a_power_cut_leaves_the_last_commit_or_the_next() {
         succeeded(&command.env("ESKER_TEST_LOG", &log).output().unwrap(), change.name);
         let after = digest(&work.path().join(change.store));
         let steps = read_log(&log);
+        println!("{}: {} steps", change.name, steps.len());
         let name = |path: &str| Path::new(path).file_name().unwrap().to_string_lossy().into_owned();
         for cut in places(steps.len() as u64, 10, &mut random) {
             let place = site.work();

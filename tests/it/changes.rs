@@ -66,6 +66,11 @@ fn a_scan_that_is_removed_or_replaced_leaves_no_trace() {
     esker_ok(&["replace", &store, "site_2", &scan(1)]);
     assert!(esker_ok(&["scans", &store]).contains("site_2"), "the name stays");
     esker_fails(&["replace", &store, "site_9", &scan(1)], 1, &["no scan 'site_9'"]);
+    let now = esker_ok(&["digest", &store, "--json"]);
+    esker_fails(&["replace", &store, "site_2", &scan(4)], 1, &["'site_2' was not replaced", "site_4"]);
+    assert_eq!(esker_ok(&["digest", &store, "--json"]), now);
+    let points = esker_ok(&["digest", &store]);
+    assert!(now.contains(points.lines().next().unwrap().trim_start_matches("points ")), "{now} is not {points}");
     esker_ok(&["remove", &store, "site_2"]);
     esker_ok(&["ingest", &store, &scan(3), &scan(2), &scan(1)]);
     assert_eq!(esker_ok(&["digest", &store]), before);

@@ -8,7 +8,9 @@ use rusqlite::Connection;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-const CAPACITY: u32 = 30;
+const CAPACITY: u32 = 12;
+/// The site's low corner, at which an aligned cube begins: the root is as large as the site.
+const LOW: i32 = 2731;
 /// Nodes of up to so many points may be read with all that lies below them.
 const TOGETHER: u64 = 32 * CAPACITY as u64;
 
@@ -85,12 +87,12 @@ fn bend(store: &Path, rows: &[Row], by: i64) {
 fn a_small_change_of_a_large_store_reads_the_rows_around_it_and_no_others() {
     let place = Place(tempfile::tempdir().unwrap());
     let mut random = Random(2_025);
-    let site = place.file("site.las", 60_000, 0, 1 << 12, &mut random);
-    let patch = place.file("patch.las", 200, 1100, 60, &mut random);
-    let other = place.file("other.las", 250, 1110, 50, &mut random);
+    let site = place.file("site.las", 60_000, LOW, 1 << 12, &mut random);
+    let patch = place.file("patch.las", 200, LOW + 1100, 60, &mut random);
+    let other = place.file("other.las", 250, LOW + 1110, 50, &mut random);
     let store = place.path("s.esker");
     ingest(&store, std::slice::from_ref(&site), &options(), &()).unwrap();
-    let corner = |at: i64| LatticePoint([(BIAS + at) as u64; 3]);
+    let corner = |at: i64| LatticePoint([(BIAS + i64::from(LOW) + at) as u64; 3]);
     let area = LatticeBox { min: corner(1100), max: corner(1159) };
     type Step<'s> = (&'s str, Vec<PathBuf>, Box<dyn Fn() + 's>);
     let steps: [Step<'_>; 3] = [

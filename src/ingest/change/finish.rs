@@ -140,10 +140,12 @@ impl<'a> Job<'_, 'a> {
         below.and(own)
     }
 
-    /// Points that were written back where they were need no new chunks. Not so in a leaf or a root: there the parts
-    /// depend on more than the node's own points.
+    /// Points that were written back where they were need no new chunks. Not so in a leaf, a root or what was one: there
+    /// the parts depend on more than the node's own points.
     fn is_unchanged(&self, cube: Cube, leaf: bool, points: &[Point<'a>]) -> Result<bool, IngestError> {
-        Ok(!leaf && (self.same_root || self.root != cube) && self.nodes.has_just(cube, points)?)
+        let Some(node) = self.nodes.stored(cube)?.filter(|node| !leaf && !node.leaf) else { return Ok(false) };
+        let was_and_is_no_root = self.root != cube && !node.is_root();
+        Ok((self.same_root || was_and_is_no_root) && self.nodes.has_just(&node, points))
     }
 
     fn encode(

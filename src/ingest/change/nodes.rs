@@ -193,12 +193,10 @@ impl<'a> Stored<'a> {
         Ok(keys)
     }
 
-    /// Does the store have just these points in this inner node?
-    pub fn has_just(&self, cube: Cube, points: &[Point<'_>]) -> Result<bool, IngestError> {
-        let Some(node) = self.stored(cube)?.filter(|node| !node.leaf) else { return Ok(false) };
+    /// Does the store have just these points in this node?
+    pub fn has_just(&self, node: &store::Node, points: &[Point<'_>]) -> bool {
         let block = self.blocks.cell(node.ix()).get();
-        let same = |b: &Block| b.points().len() == points.len() && b.points().zip(points).all(|(a, b)| a.is(b));
-        Ok(block.is_some_and(same))
+        block.is_some_and(|b| b.points().len() == points.len() && b.points().zip(points).all(|(a, b)| a.is(b)))
     }
 }
 

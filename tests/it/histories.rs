@@ -14,8 +14,8 @@ const HISTORIES: u64 = 200;
 const SWEEP: u64 = 5_000;
 
 /// Beyond the ordinary ones, what a sweep has found: a replacement through two temporary files at once (906); a former root
-/// with the points that it had, but with the parts of a root (4205).
-const FOUND: [u64; 2] = [906, 4205];
+/// with the points that it had, but with the parts of a root (2262, 4205).
+const FOUND: [u64; 3] = [906, 2262, 4205];
 
 /// Small nodes, so that a few hundred points make a tree of several levels and layers matter.
 fn options(memory: Option<u64>) -> IngestOptions {

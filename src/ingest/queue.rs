@@ -104,7 +104,9 @@ mod tests {
     use crate::lattice::{Cube, LatticePoint};
     use crate::store::ChunkRow;
     use crate::store::model::{NodeHead, Zones};
-    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::Arc;
+    use std::sync::mpsc::{RecvTimeoutError, channel};
+    use std::time::Duration;
 
     fn node(id: i64, bytes: usize) -> EncodedNode {
         let cube = Cube::containing(LatticePoint::default(), 9);
@@ -112,49 +114,58 @@ mod tests {
         EncodedNode { head: NodeHead::without_points(0, cube), zones: Zones::default(), chunks: vec![row] }
     }
 
+    /// So long a test waits for what should come at once: a queue that lets nobody go fails, and does not hang.
+    const PATIENCE: Duration = Duration::from_secs(20);
+
     #[test]
     fn all_nodes_arrive_and_no_more_wait_than_fit() {
-        let queue = Queue::new(100);
-        let waiting = AtomicUsize::new(0);
-        let mut taken = Vec::new();
-        std::thread::scope(|scope| {
-            let senders: Vec<_> = (0..3)
-                .map(|thread| {
-                    let (queue, waiting) = (&queue, &waiting);
-                    scope.spawn(move || {
-                        for i in 0..200 {
-                            let size = if i == 77 { 300 } else { 30 };
-                            assert!(queue.push(node(thread * 1000 + i, size)));
-                            // Counted after it has gone in, so never too many.
-                            waiting.fetch_add(1, Ordering::SeqCst);
-                        }
-                    })
-                })
-                .collect();
-            scope.spawn(|| {
-                senders.into_iter().for_each(|s| s.join().unwrap());
-                drop(queue.ends());
-            });
-            while let Some(node) = queue.pop() {
-                taken.push(node.chunks[0].id);
-                let state = queue.lock();
+        let queue = Arc::new(Queue::new(100));
+        let (sender, taken) = channel();
+        let taker = queue.clone();
+        std::thread::spawn(move || {
+            // If it fails nobody takes any more, and those who wait for room fail, too.
+            let _leaves = taker.leaves();
+            while let Some(node) = taker.pop() {
+                let state = taker.lock();
                 assert!(state.bytes <= 100 || state.nodes.len() == 1, "{} bytes wait", state.bytes);
+                drop(state);
+                sender.send(node.chunks[0].id).unwrap();
             }
         });
-        taken.sort_unstable();
-        let all: Vec<i64> = (0..3).flat_map(|t| (0..200).map(move |i| t * 1000 + i)).collect();
-        assert_eq!(taken, all);
+        let senders: Vec<_> = (0..3)
+            .map(|thread| {
+                let queue = queue.clone();
+                std::thread::spawn(move || {
+                    for i in 0..200 {
+                        let size = if i == 77 { 300 } else { 30 };
+                        assert!(queue.push(node(thread * 1000 + i, size)));
+                    }
+                })
+            })
+            .collect();
+        let ending = queue.clone();
+        std::thread::spawn(move || {
+            let _ends = ending.ends();
+            senders.into_iter().for_each(|s| s.join().unwrap());
+        });
+        let mut all: Vec<i64> = (0..3).flat_map(|t| (0..200).map(move |i| t * 1000 + i)).collect();
+        while !all.is_empty() {
+            let id = taken.recv_timeout(PATIENCE).expect("a node does not arrive");
+            let at = all.iter().position(|&i| i == id).expect("a node arrives twice");
+            all.swap_remove(at);
+        }
+        assert_eq!(taken.recv_timeout(PATIENCE), Err(RecvTimeoutError::Disconnected), "the end is not told");
     }
 
     #[test]
     fn who_waits_for_room_is_told_that_nobody_takes() {
-        let queue = Queue::new(10);
+        let queue = Arc::new(Queue::new(10));
         assert!(queue.push(node(1, 10)));
-        std::thread::scope(|scope| {
-            let sender = scope.spawn(|| queue.push(node(2, 1)));
-            drop(queue.leaves());
-            assert!(!sender.join().unwrap());
-        });
+        let (sender, told) = channel();
+        let waiting = queue.clone();
+        std::thread::spawn(move || sender.send(waiting.push(node(2, 1))));
+        drop(queue.leaves());
+        assert_eq!(told.recv_timeout(PATIENCE), Ok(false));
         assert!(!queue.push(node(3, 1)));
     }
 }

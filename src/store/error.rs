@@ -14,6 +14,12 @@ pub enum StoreError {
         /// Where it was looked for.
         path: PathBuf,
     },
+    /// It was there when it was opened.
+    #[error("{path}: is not the store any more that was opened: the file was removed, moved or replaced")]
+    Gone {
+        /// Where it was.
+        path: PathBuf,
+    },
     /// A store is one file.
     #[error("{path}: is a directory, not a store")]
     Directory {

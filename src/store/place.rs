@@ -55,6 +55,8 @@ pub(super) struct FilePlace {
     pub purpose: Purpose,
     pub limits: Limits,
     pub caches: Caches,
+    /// Which file it was when it was opened.
+    id: Option<FileId>,
     /// Read connections that nobody uses.
     idle: Mutex<Vec<Connection>>,
 }
@@ -74,7 +76,7 @@ impl Place {
     pub fn file(path: &Path, purpose: Purpose, limits: Limits, connection: Option<Connection>) -> Self {
         let idle = Mutex::new(connection.into_iter().collect());
         let caches = Caches::new(limits.row_bytes, limits.block_bytes);
-        Self::File(FilePlace { path: path.to_path_buf(), purpose, limits, caches, idle })
+        Self::File(FilePlace { path: path.to_path_buf(), purpose, limits, caches, id: file_id(path), idle })
     }
 
     pub fn memory(connection: Connection) -> Self {
@@ -109,9 +111,41 @@ impl Place {
     }
 }
 
+/// Device and number of a file, where files have them.
+type FileId = (u64, u64);
+
+/// Which file lies under the path now; `None`: none.
+fn file_id(path: &Path) -> Option<FileId> {
+    let found = std::fs::metadata(path).ok()?;
+    #[cfg(unix)]
+    let id = {
+        use std::os::unix::fs::MetadataExt;
+        (found.dev(), found.ino())
+    };
+    // An open store can't be replaced here.
+    #[cfg(not(unix))]
+    let id = (u64::from(found.is_file()), 0);
+    Some(id)
+}
+
 impl FilePlace {
+    /// What was read so far, and what another file holds that lies under the path now, must not be mixed.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Gone`] if another file lies there, or none.
+    pub fn check_there(&self) -> Result<(), StoreError> {
+        let is_there = self.id.is_some() && file_id(&self.path) == self.id;
+        if is_there { Ok(()) } else { Err(StoreError::Gone { path: self.path.clone() }) }
+    }
+
     /// A read connection without a transaction.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Gone`], and those of opening it.
     pub fn connect(&self) -> Result<Connection, StoreError> {
+        self.check_there()?;
         let idle = lock(&self.idle).pop();
         match idle {
             Some(connection) => Ok(connection),

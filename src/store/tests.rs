@@ -126,6 +126,31 @@ fn the_log_stays_bounded_under_a_reader() {
     assert_eq!(wal_bytes(&path), 0);
 }
 
+/// What lies under the path now would be read as if it were the store that was opened.
+#[test]
+fn a_store_that_is_removed_or_replaced_is_told_and_never_mixed() {
+    let (folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let points = some_points(2000);
+    replace(&store, points.clone());
+    let held = store.snapshot().unwrap();
+    let gone = |store: &Store| {
+        let told = [store.snapshot().map(|_| ()), store.changed(&held).map(|_| ())];
+        told.into_iter().all(|t| matches!(t, Err(StoreError::Gone { path: p }) if p == path))
+    };
+    let away = folder.path().join("away.esker");
+    std::fs::rename(&path, &away).unwrap();
+    assert!(gone(&store), "the file was moved away");
+    let other = Store::create(&path, options()).unwrap();
+    replace(&other, some_points(50));
+    assert!(gone(&store), "another store lies there");
+    assert!(matches!(store.writer(), Err(StoreError::Gone { .. })), "it is not written to either");
+    assert_eq!(content(&held).unwrap(), sorted(points), "what was opened is still read");
+    drop(other);
+    std::fs::rename(&away, &path).unwrap();
+    assert!(store.snapshot().is_ok(), "it is back");
+}
+
 #[test]
 fn there_is_one_writer_and_it_is_named() {
     let (_folder, path) = folder();

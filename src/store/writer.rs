@@ -102,6 +102,7 @@ impl Writer {
     pub(super) fn open(place: &Arc<Place>) -> Result<Self, StoreError> {
         let (connection, lock) = match &**place {
             Place::File(file) => {
+                file.check_there()?;
                 let taken = WriterLock::take(&file.path)?;
                 let connection = connection::open(&file.path, Purpose::Write).map_err(|e| e.at(&file.path))?;
                 (Some(connection), Some(taken))

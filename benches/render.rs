@@ -9,19 +9,22 @@
 use esker::generate::{GenerateOptions, Kind, generate};
 use esker::geometry::{Camera, WorldBox};
 use esker::ingest::{IngestOptions, ingest};
-use esker::query::{PartPoints, Query, Take, ViewParts, Wanted, WantedPart};
+use esker::query::Wanted;
 use esker::render::{ColorDepths, ColorMode, ColorOptions, Coloring, GpuPool, RenderOptions, Renderer, View};
 use esker::store::{Snapshot, Store};
-use esker::stream::gpu::{BLOCK_POINTS, BlockId, DrawBlock, DrawList, DrawNode, PackedPoint, Paint, PointPool};
+use esker::stream::gpu::{BLOCK_POINTS, BlockId, DrawBlock, DrawList, DrawNode, Paint, PointPool};
+use esker::stream::{self, Limits, Loaded, ScanChoice, Shown, StoreSource, Stream, set_spacings};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 type Error = Box<dyn std::error::Error>;
 
 const RUNS: usize = 5;
 const SIZE_PX: [u32; 2] = [1280, 720];
+const BUDGETS: [u64; 5] = [500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000];
 
 fn main() -> Result<(), Error> {
     let folder = tempfile::tempdir()?;
@@ -36,7 +39,8 @@ fn main() -> Result<(), Error> {
     };
     let renderer = Renderer::new()?;
     println!("{} threads, drawn by {}\n", rayon::current_num_threads(), renderer.adapter_name());
-    stages(&Store::open(&path)?.snapshot()?, &renderer)?;
+    stages(&Store::open(&path)?, &renderer)?;
+    first_pictures(&path, &renderer)?;
     primitives::compare()
 }
 
@@ -60,41 +64,55 @@ fn bounds(snapshot: &Snapshot) -> Result<WorldBox, Error> {
     Ok(WorldBox::new(world(all.min), world(all.max)).ok_or("no box")?)
 }
 
-fn stages(snapshot: &Snapshot, renderer: &Renderer) -> Result<(), Error> {
-    let camera = Camera::looking_at_all(&bounds(snapshot)?, SIZE_PX)?;
-    let lattice = &snapshot.site().lattice;
+/// What is shown, and how its values are coloured.
+fn coloring(snapshot: &Snapshot) -> Result<Coloring, Error> {
     let has = |name: &str| snapshot.attributes().iter().any(|a| a.attribute.name == name);
     let depths = ColorDepths::of_scans(snapshot.scans().iter().map(|s| (s.id, s.color_depth)));
     let options = ColorOptions { mode: ColorMode::Rgb.resolved(has)?, depths, ..ColorOptions::default() };
-    let coloring = Coloring::new(&[], lattice, &options)?;
-    let names: Vec<String> = coloring.paint.attributes();
-    let query = if names.is_empty() { Query::new().positions_only() } else { Query::new().attributes(names) };
-    let parts = query.with_scans(coloring.paint.needs_scans()).view_parts(snapshot)?;
+    Ok(Coloring::new(&[], &snapshot.site().lattice, &options)?)
+}
+
+fn limits(points: u64) -> Limits {
+    Limits { points, error_px: 0.0, ..Limits::default() }
+}
+
+/// The stream's own stages, one after the other.
+fn stages(store: &Store, renderer: &Renderer) -> Result<(), Error> {
+    let snapshot = store.snapshot()?;
+    let camera = Camera::looking_at_all(&bounds(&snapshot)?, SIZE_PX)?;
+    let coloring = coloring(&snapshot)?;
+    let shown = Shown { scans: ScanChoice::default(), filter: None, paint: coloring.paint.clone() };
+    let content = StoreSource::new(store.clone()).open_now(&shown)?;
     let stored: u64 = snapshot.scans().iter().map(|s| s.stored).sum();
-    println!("| points | select | read + decode | of it reading, by core | pack | upload | draw | load M points/s |");
+    println!(
+        "| points | select | load: read, decode, pack | of it reading, by core | of it decoding, by core | upload | draw | load, M points/s |"
+    );
     println!("|---|---|---|---|---|---|---|---|");
-    for budget in [500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000_u64] {
-        let [mut select, mut load, mut read, mut pack, mut upload, mut draw] = [const { Vec::new() }; 6];
+    for budget in BUDGETS {
+        let [mut select, mut load, mut read, mut decode, mut upload, mut draw] = [const { Vec::new() }; 6];
         let mut points = 0;
         for _ in 0..RUNS {
-            let wanted = timed(&mut select, || selected(&parts, &camera, budget))?;
+            let blocks = limits(budget).blocks(BLOCK_POINTS) / 2;
+            let view = stream::View {
+                camera: camera.clone(),
+                error_px: 0.0,
+                points: budget,
+                blocks,
+                block_points: BLOCK_POINTS,
+            };
+            let wanted = timed(&mut select, || content.select_now(&view))?.wanted;
             points = wanted.points;
-            let before = parts.statistics().seconds_reading;
-            let found: Vec<PartPoints> =
-                timed(&mut load, || wanted.parts.par_iter().map(|part| parts.read(part)).collect::<Result<_, _>>())?;
-            read.push(Duration::from_secs_f64(parts.statistics().seconds_reading - before));
-            let packed: Vec<Vec<PackedPoint>> = timed(&mut pack, || {
-                found
-                    .par_iter()
-                    .zip(&wanted.parts)
-                    .map(|(found, part)| packed(found, part, &coloring, snapshot))
-                    .collect()
-            });
-            drop(found);
-            let blocks = packed.iter().map(|p| p.len().div_ceil(BLOCK_POINTS as usize)).sum::<usize>();
+            let before = content.statistics();
+            let loaded: Vec<Loaded> = timed(&mut load, || {
+                wanted.parts.par_iter().map(|part| content.load_now(part)).collect::<Result<_, _>>()
+            })?;
+            let after = content.statistics();
+            read.push(Duration::from_secs_f64(after.seconds_reading - before.seconds_reading));
+            decode.push(Duration::from_secs_f64(after.seconds_decoding - before.seconds_decoding));
+            let blocks = loaded.iter().map(|p| p.points.len().div_ceil(BLOCK_POINTS as usize)).sum::<usize>();
             let mut pool = renderer.pool(blocks as u32, BLOCK_POINTS)?;
             let list = timed(&mut upload, || -> Result<_, Error> {
-                let list = uploaded(&wanted, &packed, &mut pool, snapshot, coloring.paint.tag())?;
+                let list = uploaded(&wanted, &loaded, &mut pool, &snapshot, coloring.paint.tag())?;
                 renderer.finish()?;
                 Ok(list)
             })?;
@@ -102,16 +120,16 @@ fn stages(snapshot: &Snapshot, renderer: &Renderer) -> Result<(), Error> {
             let view = View { camera: &camera, options: &RenderOptions::default(), palette: &coloring.palette };
             timed(&mut draw, || renderer.render_list(&mut canvas, &pool.points(), &list, view))?;
         }
-        let each = load.iter().zip(&pack).map(|(a, b)| *a + *b).min().unwrap_or_default();
+        load.sort_unstable();
+        let each = points as f64 / load[RUNS / 2].as_secs_f64() / 1e6;
         println!(
-            "| {points} | {} | {} | {} | {} | {} | {} | {:.0} |",
+            "| {points} | {} | {} | {} | {} | {} | {} | {each:.0} |",
             spread(select, points),
             spread(load, points),
             spread(read, points),
-            spread(pack, points),
+            spread(decode, points),
             spread(upload, points),
             spread(draw, points),
-            points as f64 / each.as_secs_f64() / 1e6
         );
         if budget >= stored {
             break;
@@ -120,29 +138,56 @@ fn stages(snapshot: &Snapshot, renderer: &Renderer) -> Result<(), Error> {
     Ok(())
 }
 
-fn selected(parts: &ViewParts, camera: &Camera, budget: u64) -> Result<Wanted, Error> {
-    let mut left = budget;
-    let take = |_: &_, stored: u32| {
-        if u64::from(stored) > left {
-            return Take::First(0);
+/// A stream with its own threads and a pool on the adapter, as a window has it: from opening the store to a first closed
+/// picture, and to all points of the budget. Nothing is drawn.
+fn first_pictures(path: &Path, renderer: &Renderer) -> Result<(), Error> {
+    println!("\n| points | first picture, ms | its points | complete, ms | uploaded | pool |");
+    println!("|---|---|---|---|---|---|");
+    for budget in BUDGETS {
+        let [mut first, mut complete] = [const { Vec::new() }; 2];
+        let (mut points, mut uploaded, mut pool_bytes, mut first_points) = (0, 0, 0, 0);
+        for _ in 0..RUNS {
+            let pool = renderer.pool(limits(budget).blocks(BLOCK_POINTS), BLOCK_POINTS)?;
+            let started = Instant::now();
+            let store = Store::open(path)?;
+            let snapshot = store.snapshot()?;
+            let camera = Camera::looking_at_all(&bounds(&snapshot)?, SIZE_PX)?;
+            let paint = coloring(&snapshot)?.paint;
+            let shown = Shown { scans: ScanChoice::default(), filter: None, paint };
+            let lattice = snapshot.site().lattice.clone();
+            let source = Arc::new(StoreSource::new(store));
+            let stream = Stream::spawn(source, Box::new(pool), shown, limits(budget), lattice, || ())?;
+            stream.set_camera(&camera);
+            while stream.front().list.points == 0 {
+                std::thread::sleep(Duration::from_micros(200));
+            }
+            first.push(started.elapsed());
+            first_points = stream.front().list.points;
+            while !stream.status().complete {
+                std::thread::sleep(Duration::from_micros(200));
+            }
+            complete.push(started.elapsed());
+            let status = stream.status();
+            (points, uploaded, pool_bytes) = (status.points, status.uploaded_bytes, status.pool_bytes);
         }
-        left -= u64::from(stored);
-        Take::All(stored)
-    };
-    Ok(parts.select(camera, 0.0, take)?)
-}
-
-fn packed(found: &PartPoints, part: &WantedPart, coloring: &Coloring, snapshot: &Snapshot) -> Vec<PackedPoint> {
-    let mut values = Vec::with_capacity(found.batch.len());
-    coloring.paint.paint(&found.batch, &snapshot.site().lattice, &mut values);
-    let mut points = Vec::with_capacity(values.len());
-    PackedPoint::pack_all(part.cube, &found.batch.positions, &values, &mut points);
-    points
+        let ms = |times: Vec<Duration>| spread(times, 1_000_000);
+        println!(
+            "| {points} | {} | {first_points} | {} | {uploaded} | {:.0} MB |",
+            ms(first),
+            ms(complete),
+            pool_bytes as f64 / 1e6
+        );
+        if points < budget {
+            break;
+        }
+    }
+    println!();
+    Ok(())
 }
 
 fn uploaded(
     wanted: &Wanted,
-    packed: &[Vec<PackedPoint>],
+    loaded: &[Loaded],
     pool: &mut GpuPool,
     snapshot: &Snapshot,
     paint: u64,
@@ -163,11 +208,11 @@ fn uploaded(
     }
     let mut parts: Vec<usize> = (0..wanted.parts.len()).collect();
     parts.sort_by_key(|&i| (place[wanted.parts[i].node as usize], wanted.parts[i].part));
-    let mut next = 0;
+    let (mut next, mut counted) = (0, Vec::new());
     for i in parts {
         let (part, node) = (&wanted.parts[i], place[wanted.parts[i].node as usize]);
-        list.nodes[node as usize].spacing = part.spacing;
-        for (chunk, number) in packed[i].chunks(BLOCK_POINTS as usize).zip(0..) {
+        counted.push((node, &loaded[i].densities, 1.0));
+        for (chunk, number) in loaded[i].points.chunks(BLOCK_POINTS as usize).zip(0..) {
             pool.write(BlockId(next), chunk)?;
             let (points, first) = (chunk.len() as u32, number * BLOCK_POINTS);
             list.blocks.push(DrawBlock { block: BlockId(next), points, node, part: part.part, first });
@@ -175,6 +220,7 @@ fn uploaded(
             next += 1;
         }
     }
+    set_spacings(&mut list, counted);
     Ok(list)
 }
 

@@ -144,32 +144,13 @@ impl Camera {
         Ok(Self { eye, target, up, projection, size_px, near: None, far: None, view_from_relative })
     }
 
-    /// The sensible default view of a whole site: everything in `bounds` is on the image, seen in perspective (60
-    /// degrees) from the south-west and above.
+    /// [`Camera::seeing`] the corners of a box.
     ///
     /// # Errors
     ///
     /// As [`Camera::new`], for sizes of 0 and coordinates beyond 1e15.
     pub fn looking_at_all(bounds: &WorldBox, size_px: [u32; 2]) -> Result<Self, CameraError> {
-        let fov_y_rad = 60_f64.to_radians();
-        let backward = DVec3::new(-0.45, -0.75, 0.55).normalize();
-        let center = bounds.center();
-        let projection = Projection::Perspective { fov_y_rad };
-        let unit = Self::new(center + backward, center, DVec3::Z, projection, size_px);
-        // Far out, one unit is below the resolution of f64: any direction does for the rotation alone.
-        let unit = unit.or_else(|_| Self::new(backward, DVec3::ZERO, DVec3::Z, projection, size_px))?;
-        let tan_y = (fov_y_rad / 2.0).tan();
-        let tan_x = tan_y * unit.aspect();
-        let fits = |corner: DVec3| {
-            let v = unit.view_from_relative * (corner - center);
-            v.z + (v.x.abs() / tan_x).max(v.y.abs() / tan_y)
-        };
-        let needed = bounds.corners().into_iter().map(fits).fold(0.0, f64::max);
-        // Room at the margins; a single point is looked at from one unit, or from where f64 can tell the two apart.
-        let resolution = center.abs().max_element() * 1e-9;
-        let least = if needed > 0.0 { resolution } else { resolution.max(1.0) };
-        let distance = (needed * 1.05).max(least);
-        Self::new(center + backward * distance, center, DVec3::Z, projection, size_px)
+        Self::seeing(&bounds.corners(), size_px)
     }
 
     /// The same camera with these planes, as distances along the line of sight.

@@ -7,6 +7,7 @@ mod bounds;
 mod camera;
 mod camera_file;
 mod convex;
+mod framing;
 mod frustum;
 mod pose;
 #[cfg(test)]
@@ -15,6 +16,7 @@ mod tests;
 pub use bounds::WorldBox;
 pub use camera::{Camera, CameraError, Projection};
 pub use convex::{ClipDepth, Convex, HalfSpace};
+pub use framing::{Framed, Framing, ImageArea};
 pub use frustum::{Containment, Frustum};
 pub use pose::{Pose, PoseError};
 

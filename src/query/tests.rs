@@ -1,6 +1,7 @@
 //! Queries against brute force on the points themselves.
 
 mod engine;
+mod extents;
 mod layers;
 mod stores;
 mod views;

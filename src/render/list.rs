@@ -40,9 +40,15 @@ pub(super) fn frame_of(
     Frame::new(&list.lattice, roots.map(|node| node.cube.to_box()), camera, options, limit)
 }
 
-/// How far apart points are drawn in a node of a list.
+/// How far apart points are drawn in the nodes of a list, and in the patches of these.
 pub(super) fn drawn_spacings(list: &DrawList) -> impl Iterator<Item = (Cube, f64)> + '_ {
-    list.nodes.iter().map(|node| (node.cube, if node.stand_in { STAND_IN * node.spacing } else { node.spacing }))
+    let drawn = |spacing: f64, stand_in: bool| if stand_in { STAND_IN * spacing } else { spacing };
+    let nodes = list.nodes.iter().map(move |node| (node.cube, drawn(node.spacing, node.stand_in)));
+    let patches = list.patches.iter().filter_map(move |patch| {
+        let node = list.nodes.get(patch.node as usize)?;
+        Some((patch.cube, drawn(patch.spacing, node.stand_in)))
+    });
+    nodes.chain(patches)
 }
 
 impl ListData {

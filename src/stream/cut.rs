@@ -2,6 +2,7 @@
 
 use super::gpu::{DrawBlock, DrawList, DrawNode};
 use super::residency::{Key, Residency};
+use super::spacing::set_spacings;
 use crate::lattice::Lattice;
 use crate::query::{PartId, Wanted, WantedPart};
 
@@ -71,9 +72,11 @@ pub(super) fn closed_cut(wanted: &Wanted, residency: &Residency, lattice: &Latti
         .collect();
     parts.sort_unstable();
     let mut list = DrawList { nodes, complete: missing_points == 0, ..DrawList::empty(lattice.clone(), paint) };
+    let mut counted = Vec::with_capacity(parts.len());
     for (node, part, i) in parts {
         let Some(resident) = residency.get(&(wanted.parts[i].id, paint)) else { continue };
         let all = resident.points.min(wanted.parts[i].points);
+        counted.push((node, &*resident.densities, all as f32 / resident.points.max(1) as f32));
         let mut first = 0;
         for &block in &resident.blocks {
             let points = (all - first).min(residency.block_points());
@@ -85,6 +88,7 @@ pub(super) fn closed_cut(wanted: &Wanted, residency: &Residency, lattice: &Latti
             first += points;
         }
     }
+    set_spacings(&mut list, counted);
     list.complete &= drawn.iter().all(|&d| d);
     Cut { list, keys, missing_points }
 }

@@ -148,13 +148,24 @@ pub struct DrawNode {
     pub cube: Cube,
     /// Its layer.
     pub layer: u16,
-    /// How far apart the points lie, in CRS units: the side of a cell, for as much of the node as is drawn. Where a finer
-    /// node of the list holds a point too, that one's spacing counts.
+    /// How far apart the points lie, in CRS units, for as much of the node as is drawn. Where a patch or a finer node of the
+    /// list holds a point too, that one's spacing counts.
     pub spacing: f64,
     /// Are finer points wanted here that are not there yet? Then the points stand in for them and are drawn larger.
     pub stand_in: bool,
     /// The parent's place in [`DrawList::nodes`]; `None` for a root. It is always before its children.
     pub parent: Option<u32>,
+}
+
+/// A cube in a node, with no node of its own, in which points lie otherwise than in the rest of the node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Patch {
+    /// The node's place in [`DrawList::nodes`].
+    pub node: u32,
+    /// An octant of the node's cube, or an octant of a patch.
+    pub cube: Cube,
+    /// How far apart the points lie here, in CRS units.
+    pub spacing: f64,
 }
 
 /// A block to draw.
@@ -181,6 +192,8 @@ pub struct DrawList {
     pub paint: u64,
     /// In node-key order, then by layer; every node's parent is there.
     pub nodes: Vec<DrawNode>,
+    /// Where points lie otherwise than in the rest of their node.
+    pub patches: Vec<Patch>,
     /// In the order of their nodes, then of parts, then of the points in the part.
     pub blocks: Vec<DrawBlock>,
     /// Points of all blocks together.
@@ -192,7 +205,7 @@ pub struct DrawList {
 impl DrawList {
     /// Nothing to draw.
     pub fn empty(lattice: Lattice, paint: u64) -> Self {
-        Self { lattice, paint, nodes: Vec::new(), blocks: Vec::new(), points: 0, complete: false }
+        Self { lattice, paint, nodes: Vec::new(), patches: Vec::new(), blocks: Vec::new(), points: 0, complete: false }
     }
 }
 

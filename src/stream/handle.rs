@@ -76,8 +76,6 @@ pub(super) struct Request {
     pub camera: Option<Camera>,
     pub shown: Shown,
     pub limits: Limits,
-    /// Counts the changes.
-    pub number: u64,
 }
 
 /// A point to look up.
@@ -167,7 +165,7 @@ impl Stream {
         let list = Arc::new(DrawList::empty(lattice, shown.paint.tag()));
         let front = Front { list, content: None, wanted: Arc::default(), number: 0 };
         let shared = Arc::new(Shared {
-            request: Mutex::new(Request { camera: None, shown, limits, number: 1 }),
+            request: Mutex::new(Request { camera: None, shown, limits }),
             front: Mutex::new(front),
             status: Mutex::default(),
             asked: AtomicBool::new(false),
@@ -199,38 +197,28 @@ impl Stream {
 
     /// The camera is here now.
     pub fn set_camera(&self, camera: &Camera) {
-        self.ask(|request| {
-            let new = request.camera.as_ref() != Some(camera);
-            request.camera = Some(camera.clone());
-            new
-        });
+        self.ask(|request| &mut request.camera, Some(camera.clone()));
     }
 
     /// This is to be seen.
     pub fn set_shown(&self, shown: &Shown) {
-        self.ask(|request| {
-            let new = request.shown != *shown;
-            request.shown = shown.clone();
-            new
-        });
+        self.ask(|request| &mut request.shown, shown.clone());
     }
 
     /// So much may be used.
     pub fn set_limits(&self, limits: Limits) {
-        self.ask(|request| {
-            let new = request.limits != limits;
-            request.limits = limits;
-            new
-        });
+        self.ask(|request| &mut request.limits, limits);
     }
 
-    fn ask(&self, change: impl FnOnce(&mut Request) -> bool) {
-        let mut request = lock(&self.shared.request);
-        if !change(&mut request) {
-            return;
+    fn ask<T: PartialEq>(&self, of: impl FnOnce(&mut Request) -> &mut T, value: T) {
+        {
+            let mut request = lock(&self.shared.request);
+            let held = of(&mut request);
+            if *held == value {
+                return;
+            }
+            *held = value;
         }
-        request.number += 1;
-        drop(request);
         // One word on its way is enough, however many cameras there are.
         if !self.shared.asked.swap(true, Ordering::AcqRel) {
             self.send(Message::Look);

@@ -26,10 +26,12 @@ mod priority;
 mod residency;
 mod settings;
 mod source;
+mod spacing;
 mod store_source;
 
 pub use driver::{PREFETCH_AHEAD, SETTLE_TIME, SWAP_INTERVAL};
 pub use handle::{Front, PickPlace, Status, Stream};
 pub use settings::{Limits, ScanChoice, Shown};
 pub use source::{Content, Loaded, Pending, Selected, Source, StreamError, View};
+pub use spacing::{Densities, set_spacings};
 pub use store_source::{StoreContent, StoreSource};

@@ -4,7 +4,9 @@
 //! wanted, are never given up; of the others the one that was of use least lately goes first. Blocks are all alike, so the
 //! pool never fragments.
 
-use super::gpu::{BlockId, DrawList, PackedPoint, PointPool, PoolError};
+use super::gpu::{BlockId, DrawList, PointPool, PoolError};
+use super::source::Loaded;
+use super::spacing::Densities;
 use crate::query::PartId;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -19,6 +21,8 @@ pub(super) struct Resident {
     pub blocks: Vec<BlockId>,
     /// Points of all blocks.
     pub points: u32,
+    /// How close they lie.
+    pub densities: Arc<Densities>,
     used: u64,
     /// Some of its blocks will be taken away: it is drawn while it is there, but must be loaded again.
     leaving: bool,
@@ -99,7 +103,8 @@ impl Residency {
     /// # Errors
     ///
     /// As [`PointPool::write`]; the part is not there then.
-    pub fn insert(&mut self, key: Key, points: &[PackedPoint], keep: impl Fn(&Key) -> bool) -> Result<bool, PoolError> {
+    pub fn insert(&mut self, key: Key, loaded: &Loaded, keep: impl Fn(&Key) -> bool) -> Result<bool, PoolError> {
+        let points = loaded.points.as_slice();
         if self.is_settled(&key) {
             return Ok(true);
         }
@@ -120,7 +125,8 @@ impl Residency {
         // What was leaving is replaced.
         self.remove(&key);
         let points = points.len() as u32;
-        self.parts.insert(key, Resident { blocks, points, used: self.clock, leaving: false });
+        let densities = Arc::new(loaded.densities.clone());
+        self.parts.insert(key, Resident { blocks, points, densities, used: self.clock, leaving: false });
         Ok(true)
     }
 
@@ -254,7 +260,7 @@ impl Residency {
 
 #[cfg(test)]
 mod tests {
-    use super::super::gpu::{DrawBlock, MemoryPool};
+    use super::super::gpu::{DrawBlock, MemoryPool, PackedPoint};
     use super::*;
     use crate::lattice::Lattice;
     use proptest::prelude::*;
@@ -266,6 +272,10 @@ mod tests {
             list.blocks.extend(resident.blocks.iter().map(block));
         }
         Arc::new(list)
+    }
+
+    fn of(points: &[PackedPoint]) -> Loaded {
+        Loaded { points: points.to_vec(), ..Loaded::default() }
     }
 
     fn key(number: u32) -> Key {
@@ -303,7 +313,7 @@ mod tests {
                         let point = PackedPoint { steps: [number, k, 0], value: n as u32 };
                         let there = residency.is_settled(&key(k));
                         let before = residency.uploaded_bytes;
-                        let done = residency.insert(key(k), &vec![point; n], |other| other.0 == PartId::for_test(1)).unwrap();
+                        let done = residency.insert(key(k), &of(&vec![point; n]), |other| other.0 == PartId::for_test(1)).unwrap();
                         prop_assert!(!there || done && residency.uploaded_bytes == before, "uploaded twice");
                         prop_assert!(!done || residency.is_settled(&key(k)));
                     }
@@ -345,13 +355,13 @@ mod tests {
         let point = [PackedPoint { steps: [0; 3], value: 0 }];
         for k in 0..3 {
             residency.touch([key(k)].iter());
-            assert!(residency.insert(key(k), &point, |_| false).unwrap());
+            assert!(residency.insert(key(k), &of(&point), |_| false).unwrap());
         }
         residency.touch([key(0)].iter());
-        assert!(residency.insert(key(3), &point, |k| *k == key(1)).unwrap());
+        assert!(residency.insert(key(3), &of(&point), |k| *k == key(1)).unwrap());
         let there: Vec<bool> = (0..4).map(|k| residency.is_settled(&key(k))).collect();
         assert_eq!(there, [true, true, false, true]);
-        assert!(!residency.insert(key(4), &[point[0]; 2], |k| *k != key(0)).unwrap(), "one block is not two");
+        assert!(!residency.insert(key(4), &of(&[point[0]; 2]), |k| *k != key(0)).unwrap(), "one block is not two");
         assert!(residency.is_settled(&key(0)), "nothing is given up in vain");
     }
 }

@@ -2,6 +2,7 @@
 
 use super::gpu::PackedPoint;
 use super::settings::Shown;
+use super::spacing::Densities;
 use crate::geometry::Camera;
 use crate::lattice::Lattice;
 use crate::points::Batch;
@@ -91,6 +92,8 @@ pub struct Selected {
 pub struct Loaded {
     /// In even order.
     pub points: Vec<PackedPoint>,
+    /// How close they lie.
+    pub densities: Densities,
     /// Bytes of chunks that were read.
     pub bytes_read: u64,
 }

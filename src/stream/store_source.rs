@@ -3,9 +3,10 @@
 use super::gpu::{PackedPoint, Paint};
 use super::settings::Shown;
 use super::source::{Content, Loaded, Pending, Selected, Source, StreamError, View};
+use super::spacing::Densities;
 use crate::lattice::Lattice;
 use crate::points::Batch;
-use crate::query::{PartId, Query, Take, ViewParts, WantedPart};
+use crate::query::{PartId, Query, Statistics, Take, ViewParts, WantedPart};
 use crate::store::{Snapshot, Store};
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -97,6 +98,11 @@ impl StoreContent {
         Ok(self.store.changed(self.snapshot())?)
     }
 
+    /// What all readings cost so far.
+    pub fn statistics(&self) -> Statistics {
+        self.parts.statistics()
+    }
+
     /// As [`Content::select`].
     ///
     /// # Errors
@@ -137,14 +143,16 @@ impl StoreContent {
         self.paint.paint(batch, self.lattice(), &mut values);
         // A paint that gives too few values is wrong, but no reason to lose points.
         values.resize(batch.len(), 0);
-        let order = found.even_order();
-        let pack = |&i: &u32| PackedPoint::pack(part.cube, batch.positions.point(i as usize), values[i as usize]);
-        let points: Vec<PackedPoint> = order.iter().map(pack).collect();
+        // In key order first, axis by axis, which is fast; then only whole points are moved.
+        let mut packed = Vec::with_capacity(batch.len());
+        PackedPoint::pack_all(part.cube, &batch.positions, &values, &mut packed);
+        let points: Vec<PackedPoint> = found.even_order().into_iter().map(|i| packed[i as usize]).collect();
         if !part.id.is_whole() {
             let mut matching = self.matching.write().unwrap_or_else(PoisonError::into_inner);
             matching.insert(part.id, points.len() as u32);
         }
-        Ok(Loaded { points, bytes_read: found.bytes_read })
+        let densities = Densities::of(part.cube, &batch.positions);
+        Ok(Loaded { points, densities, bytes_read: found.bytes_read })
     }
 
     /// As [`Content::point`].

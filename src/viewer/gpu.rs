@@ -40,6 +40,9 @@ pub struct Gpu {
     blitter: wgpu::util::TextureBlitter,
     target: Option<(wgpu::Texture, wgpu::TextureView)>,
     trouble: Arc<Trouble>,
+    /// The next texture of the surface is taken for lost.
+    surface_lost: bool,
+    presented: u64,
 }
 
 /// The panels of a frame, ready to be drawn.
@@ -131,6 +134,8 @@ impl Gpu {
             blitter,
             target: None,
             trouble,
+            surface_lost: false,
+            presented: 0,
         };
         gpu.configure();
         Ok((gpu, Box::new(pool)))
@@ -159,6 +164,16 @@ impl Gpu {
     /// Loses the device, as a driver's reset would: for tests.
     pub fn lose(&self) {
         self.device.destroy();
+    }
+
+    /// Takes the surface for lost, as a display that goes away would make it: for tests.
+    pub fn lose_surface(&mut self) {
+        self.surface_lost = true;
+    }
+
+    /// How often a picture was shown in the window.
+    pub fn presented(&self) -> u64 {
+        self.presented
     }
 
     /// The window has this size now; a side of 0 draws nothing.
@@ -269,7 +284,8 @@ impl Gpu {
     /// Shows the picture in the window, if the window can be drawn into now.
     pub fn present(&mut self) {
         let (_, view) = self.target();
-        let texture = match self.surface.get_current_texture() {
+        let lost = std::mem::take(&mut self.surface_lost);
+        let texture = match if lost { Current::Lost } else { self.surface.get_current_texture() } {
             Current::Success(texture) => texture,
             Current::Suboptimal(texture) => {
                 drop(texture);
@@ -293,6 +309,7 @@ impl Gpu {
         self.queue.submit([encoder.finish()]);
         self.window.pre_present_notify();
         self.queue.present(texture);
+        self.presented += 1;
     }
 
     /// Lets the adapter tell what it has done.

@@ -1,7 +1,7 @@
 //! The window: `esker view STORE`.
 //!
 //! What is shown and what keys and mouse do is state without a window ([`Model`], [`Navigator`](navigate::Navigator),
-//! [`Rig`](rig::Rig)), tested as such; [`panels`] show and change it; `window.rs` brings events in and pictures out. The
+//! [`Rig`](rig::Rig)), tested as such; [`panels`] show and change it; `window/` brings events in and pictures out. The
 //! [`Stream`](crate::stream::Stream) decides what lies on the adapter, [`Renderer`](crate::render::Renderer) draws it,
 //! and `work.rs` does what takes time. The frame's thread waits for none of them.
 

@@ -2,7 +2,7 @@
 
 use super::bindings::{self, Key};
 use super::rig::{Mode, Rig};
-use crate::geometry::{DVec3, WorldBox};
+use crate::geometry::DVec3;
 
 /// Two clicks within this time and distance are a double click.
 const DOUBLE_SECONDS: f64 = 0.4;
@@ -196,11 +196,6 @@ impl Navigator {
             self.rig.advance(motion, self.units_per_second(), seconds, self.ground);
         }
         way || moves || sinks
-    }
-
-    /// To where `bounds` is seen.
-    pub fn fit(&mut self, bounds: &WorldBox, aspect: f64) {
-        self.rig.fit(bounds, aspect);
     }
 }
 

@@ -47,7 +47,7 @@ impl Default for Remembered {
             shadow_px: 0.0,
             haze: 0.0,
             shape: "round".into(),
-            fov_y_deg: 60.0,
+            fov_y_deg: 50.0,
             panels: true,
             open: vec!["scans".into(), "color".into()],
             knows_help: false,

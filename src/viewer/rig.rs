@@ -1,6 +1,6 @@
 //! Where the camera is and how it moves: pure geometry, no window, no clock of its own.
 
-use crate::geometry::{Camera, CameraError, DVec3, Projection, WorldBox};
+use crate::geometry::{Camera, CameraError, DVec3, Framed, Framing, ImageArea, Projection};
 use glam::DMat3;
 
 /// No steeper than this: `up` must not meet the line of sight.
@@ -20,6 +20,15 @@ pub enum Mode {
     Fly,
     /// On the ground.
     Walk,
+}
+
+/// What something is fitted onto.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Onto {
+    /// Width over height of the image.
+    pub aspect: f64,
+    /// The part of the image that nothing covers.
+    pub area: ImageArea,
 }
 
 /// The camera as something that is moved.
@@ -291,26 +300,38 @@ impl Rig {
         self.start(Pose { eye: point - self.forward() * distance, distance, ..pose });
     }
 
-    /// Goes to where all of `bounds` is seen, in the direction that is looked in now.
-    pub fn fit(&mut self, bounds: &WorldBox, aspect: f64) {
-        self.fit_from(bounds, aspect, self.yaw_rad, self.pitch_rad);
+    /// Goes to where all of `places` are seen, in the direction that is looked in now.
+    pub fn fit(&mut self, places: &[DVec3], onto: Onto) {
+        self.fit_from(places, onto, self.yaw_rad, self.pitch_rad);
     }
 
-    /// Goes to where all of `bounds` is seen from one side.
-    pub fn fit_from(&mut self, bounds: &WorldBox, aspect: f64, yaw_rad: f64, pitch_rad: f64) {
+    /// Goes to where all of `places` are seen from one side.
+    pub fn fit_from(&mut self, places: &[DVec3], onto: Onto, yaw_rad: f64, pitch_rad: f64) {
+        if let Some(pose) = self.framed(places, onto, yaw_rad, pitch_rad) {
+            self.start(pose);
+        }
+    }
+
+    /// To where all of `places` are seen in the direction that is looked in now, at once.
+    pub fn place_to_fit(&mut self, places: &[DVec3], onto: Onto) {
+        if let Some(pose) = self.framed(places, onto, self.yaw_rad, self.pitch_rad) {
+            self.set(pose);
+            (self.flight, self.roll_rad) = (None, 0.0);
+        }
+    }
+
+    fn framed(&self, places: &[DVec3], onto: Onto, yaw_rad: f64, pitch_rad: f64) -> Option<Pose> {
         let pitch_rad = pitch_rad.clamp(-STEEPEST_RAD, STEEPEST_RAD);
-        let forward = direction(yaw_rad, pitch_rad);
-        let right = DVec3::new(yaw_rad.sin(), -yaw_rad.cos(), 0.0);
-        let up = right.cross(forward);
-        let tan_y = (self.fov_y_rad / 2.0).tan();
-        let tan_x = tan_y * aspect.max(1e-3);
-        let center = bounds.center();
-        let needed = bounds.corners().into_iter().map(|corner| {
-            let v = corner - center;
-            (v.dot(right).abs() / tan_x).max(v.dot(up).abs() / tan_y) - v.dot(forward)
-        });
-        let distance = (needed.fold(0.0, f64::max) * 1.05).max(center.abs().max_element() * 1e-9).max(1e-6);
-        self.start(Pose { eye: center - forward * distance, yaw_rad, pitch_rad, distance });
+        let level = Self { yaw_rad, pitch_rad, roll_rad: 0.0, ..Self::default() };
+        let framing = Framing {
+            axes: level.axes(),
+            fov_y_rad: self.fov_y_rad,
+            aspect: onto.aspect.max(1e-3),
+            parallel: self.orthographic,
+            area: onto.area,
+        };
+        let Framed { eye, distance, .. } = framing.eye_for(places)?;
+        Some(Pose { eye, yaw_rad, pitch_rad, distance })
     }
 
     /// Stands at a place, such as a scanner's, looking the way it does now.
@@ -355,6 +376,7 @@ fn direction(yaw_rad: f64, pitch_rad: f64) -> DVec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::WorldBox;
     use proptest::prelude::*;
 
     const SIZE: [u32; 2] = [800, 600];
@@ -428,14 +450,20 @@ mod tests {
         }
 
         #[test]
-        fn everything_is_seen_after_a_fit(camera in camera(), corner in prop::array::uniform3(-50.0_f64..50.0), side in prop::array::uniform3(0.1_f64..80.0)) {
+        fn everything_is_seen_beside_the_panels_after_a_fit(
+            camera in camera(),
+            corner in prop::array::uniform3(-50.0_f64..50.0),
+            side in prop::array::uniform3(0.1_f64..80.0),
+            covered in 0.0_f64..0.6,
+        ) {
             let mut rig = Rig::of(&camera);
             let bounds = WorldBox::new(corner, std::array::from_fn(|i| corner[i] + side[i])).unwrap();
-            rig.fit(&bounds, 800.0 / 600.0);
+            let onto = Onto { aspect: 800.0 / 600.0, area: ImageArea::new([0.0, 0.05], [1.0 - covered, 1.0]) };
+            rig.fit(&bounds.corners(), onto);
             while rig.fly_on(0.1) {}
             for corner in bounds.corners() {
                 let [x, y] = pixel(&rig, corner);
-                prop_assert!((0.0..=800.0).contains(&x) && (0.0..=600.0).contains(&y), "{} {}", x, y);
+                prop_assert!((0.0..=800.0 * (1.0 - covered)).contains(&x) && (30.0..=600.0).contains(&y), "{} {}", x, y);
             }
         }
     }

@@ -39,6 +39,8 @@ pub enum Step {
     Shot(PathBuf),
     /// The state as one line of JSON on stdout.
     State,
+    /// The window's surface is lost.
+    LoseSurface,
     /// The device is lost.
     LoseDevice,
     /// The window closes.
@@ -93,6 +95,7 @@ fn parse_line(line: &str) -> Option<Vec<Step>> {
         ("size", _) => vec![Step::Size([whole(0)?, whole(1)?])],
         ("shot", Some(_)) => vec![Step::Shot(PathBuf::from(rest.trim()))],
         ("state", None) => vec![Step::State],
+        ("lose", Some("surface")) => vec![Step::LoseSurface],
         ("lose", Some("device")) => vec![Step::LoseDevice],
         ("quit", None) => vec![Step::Quit],
         _ => return None,

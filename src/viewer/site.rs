@@ -3,8 +3,8 @@
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::Lattice;
 use crate::points::Batch;
-use crate::query::{Query, QueryError};
-use crate::render::ColorDepths;
+use crate::query::{Query, QueryError, flat_attributes, occupied_boxes};
+use crate::render::{ColorDepths, ColorMode};
 use crate::store::model::ScanId;
 use crate::store::{Snapshot, StoreError};
 use std::collections::BTreeMap;
@@ -40,6 +40,8 @@ pub struct Site {
     pub scans: Vec<ScanFacts>,
     /// Of all visible scans.
     pub bounds: Option<WorldBox>,
+    /// Boxes that together hold the points of all scans, nearly.
+    pub outline: Vec<WorldBox>,
     /// All points.
     pub points: u64,
     /// Names of all attributes.
@@ -83,12 +85,15 @@ impl Site {
         if let Some(camera) = bounds.and_then(|b| Camera::looking_at_all(&b, [1024, 1024]).ok()) {
             // The first parts of the coarsest nodes, whatever the camera's pixels.
             let query = Query::new().view(camera, 0.0).capacity(SAMPLE_POINTS).with_scans(true);
-            sample = query.attributes(wanted.into_iter().filter(|n| has(n))).collect(snapshot)?.0;
+            let flat = flat_attributes(snapshot)?;
+            let shows = |name: &&str| has(name) && ColorMode::shows(name, &flat);
+            sample = query.attributes(wanted.into_iter().filter(shows)).collect(snapshot)?.0;
         }
         let depths: BTreeMap<u32, Option<u8>> = snapshot.scans().iter().map(|s| (s.id, s.color_depth)).collect();
         Ok(Self {
             generation: facts.generation,
             points: scans.iter().map(|s| s.points).sum(),
+            outline: occupied_boxes(snapshot, |_| true)?.into_iter().filter_map(world).collect(),
             scans,
             bounds,
             attributes: snapshot.attributes().iter().map(|a| a.attribute.name.clone()).collect(),

@@ -13,9 +13,8 @@ use std::time::Duration;
 
 /// How long a writer that has the store is waited for before it is asked again.
 const RETRY: Duration = Duration::from_millis(500);
-/// The ground is looked for so far around the eye, in plan, and so far below it.
-const GROUND_AROUND: f64 = 0.6;
-const GROUND_BELOW: [f64; 2] = [6.0, 500.0];
+/// The ground is looked for so far around the eye, in plan, and so far below it; farther where there is nothing nearer.
+const GROUND: [(f64, f64); 4] = [(0.6, 6.0), (0.6, 500.0), (3.0, 1000.0), (12.0, 2000.0)];
 
 /// Writes the points of a box, of these scans, to a file; says how many there are.
 pub type Exporter = dyn Fn(&Snapshot, &WorldBox, &[String], &Path) -> Result<u64, String> + Send + Sync;
@@ -182,9 +181,9 @@ impl Work {
     /// The height below which a tenth of the points under the eye lie.
     fn ground(&self, eye: DVec3) -> Option<f64> {
         let snapshot = self.store.snapshot().ok()?;
-        for below in GROUND_BELOW {
-            let min = [eye.x - GROUND_AROUND, eye.y - GROUND_AROUND, eye.z - below];
-            let max = [eye.x + GROUND_AROUND, eye.y + GROUND_AROUND, eye.z];
+        for (around, below) in GROUND {
+            let min = [eye.x - around, eye.y - around, eye.z - below];
+            let max = [eye.x + around, eye.y + around, eye.z];
             let region = Region::new_box(min, max).ok()?;
             let lattice = &snapshot.site().lattice;
             let mut heights = Vec::new();

@@ -57,6 +57,8 @@ struct Disk {
     blocked: AtomicBool,
     released: Notify,
     load_ms: AtomicU64,
+    /// Loads that were begun.
+    loads: AtomicU64,
 }
 
 impl Disk {
@@ -110,6 +112,7 @@ impl Content for SlowContent {
     }
     fn load(self: Arc<Self>, part: WantedPart) -> Pending<Result<Loaded, StreamError>> {
         Box::pin(async move {
+            self.disk.loads.fetch_add(1, Ordering::AcqRel);
             self.disk.wait(Duration::from_millis(self.disk.load_ms.load(Ordering::Acquire))).await;
             self.inner.load_now(&part)
         })
@@ -332,6 +335,42 @@ fn frames_go_on_while_the_disk_is_stuck() {
         walk.disk.release();
         walk.rest().await;
         walk.assert_fresh(&cameras[199], "after the disk came back");
+    });
+}
+
+/// A camera that came and went leaves nothing: loads that were not begun are not, and what was being loaded is not uploaded.
+#[test]
+fn what_only_an_older_camera_wanted_is_neither_loaded_nor_uploaded() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = site(folder.path(), "400000");
+    run(async || {
+        let mut walk = Walk::begin(&store, Limits { prefetch: false, ..limits(300_000) });
+        // From afar little is wanted, from near more than is loaded at once.
+        let [here, there] = [walk.camera([0.5, -6.0, 9.0], 1.5), walk.camera([0.5, 0.1, 3.0], 1.5)];
+        walk.stream.set_camera(&here);
+        walk.rest().await;
+        let figures = |walk: &Walk| (walk.disk.loads.load(Ordering::Acquire), walk.stream.status().uploaded_bytes);
+        let before = figures(&walk);
+        walk.disk.load_ms.store(300, Ordering::Release);
+        walk.stream.set_camera(&there);
+        for _ in 0..6 {
+            walk.frame().await;
+        }
+        walk.stream.set_camera(&here);
+        walk.rest().await;
+        for _ in 0..60 {
+            walk.frame().await;
+        }
+        let (loads, uploaded) = figures(&walk);
+        assert_eq!(uploaded, before.1, "what nobody wants any more was uploaded");
+        let begun = loads - before.0;
+        walk.stream.set_camera(&there);
+        walk.disk.load_ms.store(1, Ordering::Release);
+        walk.rest().await;
+        let needed = walk.disk.loads.load(Ordering::Acquire) - loads;
+        println!("{begun} of {needed} loads were begun");
+        assert!(begun > 0 && begun < needed, "{begun} of {needed} loads were begun for a camera that was gone");
+        walk.assert_fresh(&there, "there at last");
     });
 }
 

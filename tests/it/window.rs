@@ -4,8 +4,8 @@
 
 use crate::support::esker_ok;
 use std::fs;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 /// A display for one test; ends with it.
@@ -30,16 +30,36 @@ impl Display {
 
     /// Runs a script in the viewer; the lines that it printed.
     fn view(&self, folder: &Path, store: &Path, script: &str) -> Vec<serde_json::Value> {
+        self.view_and(folder, store, script, |_| ())
+    }
+
+    /// The same; `then` is called after each line, with how many there are.
+    fn view_and(
+        &self,
+        folder: &Path,
+        store: &Path,
+        script: &str,
+        mut then: impl FnMut(usize),
+    ) -> Vec<serde_json::Value> {
         let file = folder.join("script.txt");
         fs::write(&file, script).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_esker"));
         command.args(["view", "--forget", "--script"]).arg(&file).arg(store).current_dir(folder);
         command.env("DISPLAY", &self.name).env_remove("WAYLAND_DISPLAY").env("XDG_RUNTIME_DIR", folder);
-        let output = command.output().unwrap();
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success() && !stderr.contains("panicked"), "{}\n{stderr}", output.status);
-        let text = String::from_utf8(output.stdout).unwrap();
-        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut stderr = child.stderr.take().unwrap();
+        let told = std::thread::spawn(move || {
+            let mut text = String::new();
+            stderr.read_to_string(&mut text).map(|_| text)
+        });
+        let mut states: Vec<serde_json::Value> = Vec::new();
+        for line in BufReader::new(child.stdout.take().unwrap()).lines() {
+            states.push(serde_json::from_str(&line.unwrap()).unwrap());
+            then(states.len());
+        }
+        let (status, stderr) = (child.wait().unwrap(), told.join().unwrap().unwrap());
+        assert!(status.success() && !stderr.contains("panicked"), "{status}\n{stderr}");
+        states
     }
 }
 
@@ -160,6 +180,66 @@ fn a_script_uses_every_part_of_the_window() {
         let differs = difference(&now.2, &then.2);
         println!("{kept}: {:.2} % of the pixels differ", differs * 100.0);
         assert!(differs < 0.05, "{kept} shows something else: {differs}");
+    }
+}
+
+/// A store of some thousand points in `folder`.
+fn small_store(folder: &Path, name: &str, kind: &str) -> PathBuf {
+    let text = |name: String| folder.join(name).to_str().unwrap().to_owned();
+    esker_ok(&["generate", kind, "--points", "20000", "-o", &text(format!("{name}.las"))]);
+    esker_ok(&["ingest", &text(format!("{name}.esker")), &text(format!("{name}.las"))]);
+    folder.join(format!("{name}.esker"))
+}
+
+/// A minimised window has no size on some systems, and a surface is lost when a display goes: nothing is drawn meanwhile,
+/// and then everything is as before.
+#[test]
+fn a_window_without_a_size_or_a_surface_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = small_store(folder.path(), "torus", "torus");
+    let script = "size 600 400\nwait complete\nkey Esc\nwait complete\nstate\nshot before.png\n\
+                  size 0 0\nwait 50\nstate\nwait 300\nstate\nkey 1\nwheel 1\nlose device\nwait 300\nstate\n\
+                  size 600 400\nkey F\nwait complete\nstate\n\
+                  lose surface\nwait complete\nwait 300\nstate\nlose surface\nlose surface\nwait 300\nstate\nquit\n";
+    let states = Display::start().view(folder.path(), &store, script);
+    let [before, gone, later, still_gone, back, lost, lost_again] = states.as_slice() else {
+        panic!("{} states", states.len())
+    };
+    let presented = |state: &serde_json::Value| state["presented"].as_u64().unwrap();
+    assert_eq!(presented(later), presented(gone), "something is drawn into a window without a size: {later}");
+    assert!(presented(still_gone) <= presented(gone) && still_gone["points"] == before["points"], "{still_gone}");
+    assert!(back["complete"] == true && back["points"] == before["points"] && presented(back) > 0, "{back}");
+    assert!(presented(lost) > presented(back), "nothing is drawn after the surface was lost: {lost}");
+    assert!(presented(lost_again) > presented(lost) && lost_again["points"] == before["points"], "{lost_again}");
+}
+
+/// What is there stays, and the lower line says what has happened: for a file that is removed, and for another one in its
+/// place, whose points must not be mixed with the first one's.
+#[test]
+fn a_store_that_vanishes_or_is_replaced_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let display = Display::start();
+    for replaced in [false, true] {
+        let name = if replaced { "replaced" } else { "removed" };
+        let store = small_store(folder.path(), name, "torus");
+        let other = small_store(folder.path(), &format!("{name}-other"), "spheres");
+        let script = "size 600 400\nwait complete\nkey Esc\nwait complete\nstate\nwait 1500\nstate\n\
+                      drag left 200 200 300 220\nwheel 3\nwait 600\nkey B\nwait 600\nstate\nquit\n";
+        let states = display.view_and(folder.path(), &store, script, |lines| {
+            if lines == 1 && replaced {
+                fs::rename(&other, &store).unwrap();
+            } else if lines == 1 {
+                fs::remove_file(&store).unwrap();
+            }
+        });
+        let [before, after, moved] = states.as_slice() else { panic!("{} states", states.len()) };
+        assert!(before["error"].is_null() && before["points"] == 20_000, "{before}");
+        for state in [after, moved] {
+            let words = state["error"].as_str().unwrap_or_default();
+            assert!(words.contains("removed, moved or replaced"), "{name}: {state}");
+            assert!(state["points"].as_u64() > Some(1000), "{name}: {state}");
+        }
+        assert!(moved["bookmarks"].as_array().is_none_or(Vec::is_empty), "{name}: {moved}");
     }
 }
 

@@ -7,11 +7,12 @@ mod statistics;
 mod walk;
 
 use super::{Outcome, output, values};
-use crate::geometry::{Camera, WorldBox};
+use crate::geometry::{Camera, DVec3, WorldBox};
+use crate::lattice::LatticeBox;
 use crate::points::Batch;
-use crate::query::{Detail, Filter, Query, Region};
+use crate::query::{Detail, Filter, Query, Region, flat_attributes, occupied_boxes};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
-use crate::store::model::Range;
+use crate::store::model::{Scan, ScanId};
 use crate::store::{Snapshot, Store, WorldBounds};
 use crate::stream::gpu::Paint;
 use anyhow::{Context, bail};
@@ -144,7 +145,9 @@ fn numbered(path: &Path, frame: usize) -> PathBuf {
 }
 
 fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Camera>> {
-    let site = snapshot.scans().iter().filter(|s| s.visible).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
+    let asked = |s: &Scan| arguments.scans.iter().any(|name| *name == s.name || name.parse() == Ok(s.id));
+    let is_seen = |s: &Scan| if arguments.scans.is_empty() { s.visible } else { asked(s) };
+    let site = snapshot.scans().iter().filter(|s| is_seen(s)).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
     let bounds = site.map(|b| WorldBounds::new(&snapshot.site().lattice, &b));
     let WorldBounds { min, max } = bounds.unwrap_or(WorldBounds { min: [0.0; 3], max: [1.0; 3] });
     let bounds = WorldBox::new(min, max).context("the site's bounds are no box")?;
@@ -157,13 +160,29 @@ fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Cam
             let (_, json) = found.with_context(|| format!("the store has no bookmark '{name}'"))?;
             vec![serde_json::from_str(json).with_context(|| format!("bookmark '{name}' is no view"))?]
         }
-        (None, None, None) => vec![Camera::looking_at_all(&bounds, arguments.size.unwrap_or([1280, 720]))?],
+        (None, None, None) => {
+            let is_seen = |id| snapshot.scans().iter().any(|s| s.id == id && is_seen(s));
+            vec![Camera::seeing(&places(arguments, snapshot, is_seen)?, arguments.size.unwrap_or([1280, 720]))?]
+        }
     };
     let sized = cameras.into_iter().map(|camera| match arguments.size {
         Some(size) => camera.with_size(size),
         None => Ok(camera),
     });
     sized.map(|camera| Ok(camera?.reaching(&bounds))).collect()
+}
+
+/// Corners of boxes around the points, within what one clip box keeps.
+fn places(arguments: &Arguments, snapshot: &Snapshot, is_seen: impl Fn(ScanId) -> bool) -> anyhow::Result<Vec<DVec3>> {
+    let lattice = &snapshot.site().lattice;
+    let [low, high] =
+        arguments.look.kept_box().unwrap_or([[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]]).map(DVec3::from_array);
+    let boxes = occupied_boxes(snapshot, is_seen)?;
+    let kept = |b: LatticeBox| {
+        let WorldBounds { min, max } = WorldBounds::new(lattice, &b);
+        WorldBox::new(DVec3::from_array(min).max(low).to_array(), DVec3::from_array(max).min(high).to_array())
+    };
+    Ok(boxes.into_iter().filter_map(kept).flat_map(|b| b.corners()).collect())
 }
 
 /// Which points count.
@@ -184,11 +203,14 @@ fn query(arguments: &Arguments) -> anyhow::Result<Query> {
 
 /// How points are coloured, by the points of the coarsest level.
 fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow::Result<Coloring> {
-    let black = all_colors_are_black(snapshot)?;
+    let flat = flat_attributes(snapshot)?;
+    let black = ColorMode::Rgb.attributes().iter().all(|name| flat.get(*name).is_none_or(|value| *value == 0.0));
     let has = |name: &str| {
-        // Some files have room for colours, but none: black points would show nothing.
+        // Some files have room for colours, or intensities, but none: points of one grey would show nothing.
         let is_color = ColorMode::Rgb.attributes().contains(&name);
-        snapshot.attributes().iter().any(|a| a.attribute.name == name) && !(is_color && black)
+        let nothing = if is_color { black && flat.contains_key(name) } else { flat.contains_key(name) };
+        snapshot.attributes().iter().any(|a| a.attribute.name == name)
+            && !(nothing && arguments.color == ColorMode::Rgb)
     };
     let mode = arguments.color.resolved(has)?;
     if mode != arguments.color {
@@ -218,20 +240,6 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
     }
     let sample: Vec<&Batch> = sample.iter().collect();
     Ok(Coloring::new(&sample, &snapshot.site().lattice, &options)?)
-}
-
-/// By the zone maps of the whole site: is no recorded colour anything but black?
-fn all_colors_are_black(snapshot: &Snapshot) -> anyhow::Result<bool> {
-    let nodes = snapshot.nodes();
-    for root in nodes.roots()? {
-        for (slot, range) in &nodes.zones(&root)?.subtree {
-            let name = snapshot.attribute(*slot).map_or("", |a| a.attribute.name.as_str());
-            if ColorMode::Rgb.attributes().contains(&name) && *range != Range::Unsigned(0, 0) {
-                return Ok(false);
-            }
-        }
-    }
-    Ok(true)
 }
 
 fn with_attributes(query: Query, names: Vec<String>) -> Query {

@@ -1,6 +1,7 @@
 //! Which parts lie in the pool, from one frame of a walk to the next.
 
 use crate::query::PartId;
+use crate::stream::Densities;
 use crate::stream::gpu::{BlockId, PackedPoint, PointPool, PoolError};
 use std::collections::HashMap;
 
@@ -18,11 +19,22 @@ pub(super) struct Resident<P> {
     frame: u64,
 }
 
+/// A part as it is uploaded.
+pub(super) struct Packed {
+    pub points: Vec<PackedPoint>,
+    /// How close the points of the part lie, and which share of them these are.
+    pub densities: Densities,
+    pub share: f32,
+}
+
 /// A part that is there.
 #[derive(Clone, Debug)]
 pub(super) struct Held {
     pub points: u32,
     pub blocks: Vec<BlockId>,
+    /// How close the points of the part lie, and which share of them is here.
+    pub densities: Densities,
+    pub share: f32,
     last_wanted: u64,
 }
 
@@ -93,7 +105,8 @@ impl<P: PointPool> Resident<P> {
     /// # Errors
     ///
     /// [`PoolError`] of the pool.
-    pub fn insert(&mut self, id: Key, points: &[PackedPoint]) -> Result<(), PoolError> {
+    pub fn insert(&mut self, id: Key, packed: Packed) -> Result<(), PoolError> {
+        let Packed { points, densities, share } = packed;
         let block_points = self.pool.block_points() as usize;
         let needed = points.len().div_ceil(block_points);
         if self.free.len() < needed {
@@ -103,7 +116,7 @@ impl<P: PointPool> Resident<P> {
         for (block, chunk) in blocks.iter().zip(points.chunks(block_points)) {
             self.pool.write(*block, chunk)?;
         }
-        let held = Held { points: points.len() as u32, blocks, last_wanted: self.frame };
+        let held = Held { points: points.len() as u32, blocks, densities, share, last_wanted: self.frame };
         if let Some(before) = self.parts.insert(id, held) {
             self.free.extend(before.blocks);
         }

@@ -1,12 +1,13 @@
 //! From a camera to an image: select, read, decode and pack what is new, upload it, draw.
 
-use super::resident::{Held, Key, Resident};
+use super::resident::{Held, Key, Packed, Resident};
 use super::statistics::FrameStatistics;
 use crate::geometry::Camera;
 use crate::lattice::Lattice;
 use crate::query::{PartId, PartPoints, QueryError, Take, ViewParts, Wanted, WantedPart};
 use crate::render::{Canvas, Coloring, GpuPool, Image, Legend, RenderError, RenderOptions, Renderer, View};
 use crate::stream::gpu::{BLOCK_POINTS, DrawBlock, DrawList, DrawNode, PackedPoint, Paint};
+use crate::stream::{Densities, set_spacings};
 use anyhow::Context;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -69,10 +70,10 @@ struct Gpu {
     resident: Resident<GpuPool>,
 }
 
-/// A part as it is to be uploaded.
-struct Packed {
+/// A part, read.
+struct Read {
     key: Key,
-    points: Vec<PackedPoint>,
+    packed: Packed,
     matching: u32,
     bytes_read: u64,
     pack: Duration,
@@ -164,7 +165,7 @@ impl Session {
         }
         for window in missing.chunks(WINDOW) {
             let (started, before) = (Instant::now(), self.parts.statistics());
-            let packed: Vec<Packed> = window.par_iter().map(|part| self.pack(part)).collect::<Result<_, _>>()?;
+            let read: Vec<Read> = window.par_iter().map(|part| self.pack(part)).collect::<Result<_, _>>()?;
             let after = self.parts.statistics();
             statistics.load += started.elapsed();
             statistics.read += Duration::from_secs_f64((after.seconds_reading - before.seconds_reading).max(0.0));
@@ -175,13 +176,14 @@ impl Session {
                 none => none.insert(Gpu::started(self.starting.take(), wanted, self.asked.capacity)?),
             };
             let started = Instant::now();
-            for part in packed {
+            for part in read {
+                let points = part.packed.points.as_slice();
                 statistics.parts_loaded += 1;
-                statistics.points_loaded += part.points.len() as u64;
+                statistics.points_loaded += points.len() as u64;
                 statistics.bytes_read += part.bytes_read;
-                statistics.bytes_uploaded += size_of_val(part.points.as_slice()) as u64;
+                statistics.bytes_uploaded += size_of_val(points) as u64;
                 statistics.pack += part.pack;
-                gpu.resident.insert(part.key, &part.points)?;
+                gpu.resident.insert(part.key, part.packed)?;
                 self.matching.insert(part.key.0, part.matching);
             }
             statistics.upload += started.elapsed();
@@ -193,13 +195,16 @@ impl Session {
         Ok(())
     }
 
-    fn pack(&self, part: &WantedPart) -> Result<Packed, QueryError> {
+    fn pack(&self, part: &WantedPart) -> Result<Read, QueryError> {
         let found = self.parts.read(part)?;
         let started = Instant::now();
         let matching = found.batch.len() as u32;
         let key = self.asked.key_of(part, matching);
         let points = packed_points(&found, part, key.1, &self.lattice, self.coloring.paint.as_ref());
-        Ok(Packed { key, points, matching, bytes_read: found.bytes_read, pack: started.elapsed() })
+        let densities = Densities::of(part.cube, &found.batch.positions);
+        let share = points.len() as f32 / matching.max(1) as f32;
+        let packed = Packed { points, densities, share };
+        Ok(Read { key, packed, matching, bytes_read: found.bytes_read, pack: started.elapsed() })
     }
 }
 
@@ -276,10 +281,12 @@ fn draw_list<'r>(
     let mut parts: Vec<(u32, u32, &WantedPart)> =
         wanted.parts.iter().map(|part| (place[part.node as usize], part.part, part)).collect();
     parts.sort_unstable_by_key(|&(node, part, _)| (node, part));
+    let mut counted = Vec::with_capacity(parts.len());
     for (node, number, part) in parts {
         // Parts come in order, so the last one says how fine the node is drawn.
         list.nodes[node as usize].spacing = part.spacing;
         let Some(held) = held(part) else { continue };
+        counted.push((node, &held.densities, held.share));
         let mut first = 0;
         for &block in &held.blocks {
             let points = (held.points - first).min(BLOCK_POINTS);
@@ -288,5 +295,6 @@ fn draw_list<'r>(
             first += points;
         }
     }
+    set_spacings(&mut list, counted);
     list
 }

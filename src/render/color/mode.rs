@@ -1,6 +1,7 @@
 //! What colour shows.
 
 use crate::render::RenderError;
+use std::collections::BTreeMap;
 use std::str::FromStr;
 
 /// What colour shows.
@@ -69,6 +70,14 @@ impl ColorMode {
     /// Are the attributes of the mode there?
     pub fn is_available(self, has: impl Fn(&str) -> bool) -> bool {
         self.attributes().iter().all(|name| has(name))
+    }
+
+    /// Does an attribute show anything, if those in `flat` have one value everywhere? Some files have room for colours, or
+    /// intensities, and none in it: points of one grey would show nothing.
+    pub fn shows(name: &str, flat: &BTreeMap<String, f64>) -> bool {
+        let colors = Self::Rgb.attributes();
+        let black = || colors.iter().all(|color| flat.get(*color) == Some(&0.0));
+        if colors.contains(&name) { !black() } else { name != "Intensity" || !flat.contains_key(name) }
     }
 
     /// The mode itself if its attributes are there; for [`ColorMode::Rgb`] else intensity, else height.

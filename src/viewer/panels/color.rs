@@ -7,13 +7,14 @@ use egui::{Color32, Sense, Ui, vec2};
 
 pub(super) fn show(ui: &mut Ui, model: &mut Model) {
     let mut mode = model.mode;
+    let seen = model.coloring().map_or(mode, |coloring| coloring.mode);
     let shown = |mode: ColorMode| match mode {
         ColorMode::Rgb => "recorded colours",
         ColorMode::Time => "GPS time",
         ColorMode::Level => "level of detail",
         other => other.word(),
     };
-    let response = egui::ComboBox::from_id_salt("mode").selected_text(shown(mode)).show_ui(ui, |ui| {
+    let response = egui::ComboBox::from_id_salt("mode").selected_text(shown(seen)).show_ui(ui, |ui| {
         for which in ColorMode::ALL {
             let there = model.site.as_ref().is_none_or(|s| which.is_available(|name| s.has(name)));
             let response = ui.add_enabled(there, egui::Button::selectable(mode == which, shown(which)));
@@ -30,7 +31,7 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
     let Some(coloring) = model.coloring() else { return };
     let legend = coloring.legend.clone();
     if coloring.mode != mode {
-        ui.weak(format!("Nothing has this; shown by {}", shown(coloring.mode)));
+        ui.weak(format!("There is nothing to show as {}", shown(mode)));
     }
     let classes = coloring.mode == ColorMode::Class;
     show_legend(ui, model, &legend, classes);
@@ -41,13 +42,18 @@ fn show_legend(ui: &mut Ui, model: &mut Model, legend: &Legend, classes: bool) {
         LegendKey::Recorded => {}
         LegendKey::Ramp { colors, low, high } => {
             let (rect, _) = ui.allocate_exact_size(vec2(ui.available_width(), 16.0), Sense::hover());
-            let width = rect.width() / colors.len().max(1) as f32;
-            for (i, color) in colors.iter().enumerate() {
-                let left = rect.left() + width * i as f32;
-                // A hair wider, so that nothing shows between two.
-                let step = egui::Rect::from_min_size(egui::pos2(left, rect.top()), vec2(width + 0.6, rect.height()));
-                ui.painter().rect_filled(step.intersect(rect), 0.0, opaque(*color));
+            let mut mesh = egui::Mesh::default();
+            let last = colors.len().saturating_sub(1).max(1) as f32;
+            for (i, color) in (0_u32..).zip(colors) {
+                let x = rect.left() + rect.width() * i as f32 / last;
+                mesh.colored_vertex(egui::pos2(x, rect.top()), opaque(*color));
+                mesh.colored_vertex(egui::pos2(x, rect.bottom()), opaque(*color));
+                if i > 0 {
+                    mesh.add_triangle(2 * i - 2, 2 * i - 1, 2 * i);
+                    mesh.add_triangle(2 * i - 1, 2 * i, 2 * i + 1);
+                }
             }
+            ui.painter().add(mesh);
             let (mut from, mut to) = (*low, *high);
             let speed = ((to - from).abs() * 0.005).max(1e-9);
             ui.horizontal(|ui| {

@@ -2,11 +2,13 @@
 
 use super::super::bindings::{Command, HELP};
 use super::super::model::Model;
-use egui::{Align2, Context, RichText};
+use egui::{Align2, Color32, Context, RichText};
+
+const KEYS: Color32 = Color32::from_rgb(255, 214, 90);
 
 pub(super) fn show(context: &Context, model: &mut Model, aspect: f64) {
     let mut open = true;
-    egui::Window::new("How to move")
+    egui::Window::new("Mouse and keys")
         .open(&mut open)
         .anchor(Align2::CENTER_CENTER, [0.0, 0.0])
         .collapsible(false)
@@ -15,9 +17,9 @@ pub(super) fn show(context: &Context, model: &mut Model, aspect: f64) {
             for (title, lines) in HELP {
                 ui.add_space(4.0);
                 ui.label(RichText::new(*title).strong());
-                egui::Grid::new(*title).num_columns(2).min_col_width(120.0).show(ui, |ui| {
+                egui::Grid::new(*title).num_columns(2).min_col_width(160.0).spacing([12.0, 3.0]).show(ui, |ui| {
                     for line in *lines {
-                        ui.label(RichText::new(line.keys).monospace());
+                        ui.label(RichText::new(line.keys).monospace().color(KEYS));
                         ui.label(line.does);
                         ui.end_row();
                     }

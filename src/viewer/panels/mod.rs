@@ -13,6 +13,7 @@ mod statistics;
 use super::bindings::Command;
 use super::model::{Model, Section};
 use super::rig::Mode;
+use crate::geometry::ImageArea;
 use egui::{Align2, Color32, RichText, Ui};
 
 /// All of the window's widgets for one frame; `aspect` is that of the picture, `ui` covers it.
@@ -30,6 +31,11 @@ pub fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
             });
         });
     }
+    let (all, free) = (ui.ctx().content_rect(), ui.available_rect_before_wrap());
+    let part = |at: egui::Pos2| {
+        [(at.x - all.min.x) / all.width(), (at.y - all.min.y) / all.height()].map(|p| f64::from(p).clamp(0.0, 1.0))
+    };
+    model.set_free_area(ImageArea::new(part(free.min), part(free.max)), aspect);
     overlay::show(ui, model, aspect);
     if model.help {
         help::show(ui.ctx(), model, aspect);
@@ -138,6 +144,8 @@ fn bottom(ui: &mut Ui, model: &mut Model) {
             if status.missing_points > 0 {
                 ui.spinner();
                 ui.label(format!("{} more to come", grouped(status.missing_points)));
+            } else if status.error_px == Some(0.0) {
+                ui.label("all that is in view");
             } else if let Some(px) = status.error_px {
                 ui.label(format!("within {px:.1} pixels"))
                     .on_hover_text("Every point of the site that lies in view has a drawn one so near");
@@ -146,8 +154,8 @@ fn bottom(ui: &mut Ui, model: &mut Model) {
                 ui.colored_label(Color32::from_rgb(255, 150, 120), error);
             }
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-                let fps = 1.0 / model.times.interval.as_secs_f64().max(1e-3);
-                ui.label(format!("{fps:.0} frames/s"));
+                // Nothing is drawn anew while nothing changes, so frames a second would say little.
+                ui.label(format!("{:.0} ms a frame", model.times.work.as_secs_f64() * 1e3));
                 if let Some(found) = &model.hover {
                     let [x, y, z] = found.world.to_array();
                     ui.label(RichText::new(format!("{x:.3}  {y:.3}  {z:.3}")).monospace());

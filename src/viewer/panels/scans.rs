@@ -27,21 +27,25 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
         for scan in &scans {
             ui.horizontal(|ui| {
                 let mut seen = model.scans.sees(scan.id, scan.visible);
-                let response = ui.checkbox(&mut seen, &scan.name);
+                let response = ui.checkbox(&mut seen, "");
                 mark(model, format!("scan.{}", scan.name), &response);
                 if response.changed() {
                     model.scans.set(scan.id, scan.visible, seen);
                 }
-                response.on_hover_text(format!("{} points", grouped(scan.points)));
                 ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                    if ui.small_button("only").on_hover_text("This scan alone").clicked() {
+                        scans.iter().for_each(|s| model.scans.set(s.id, s.visible, s.id == scan.id));
+                    }
                     if let Some(place) = scan.station
                         && ui.small_button("stand").on_hover_text("Stand where the scanner stood").clicked()
                     {
                         model.stand_at(&scan.name, place);
                     }
-                    if ui.small_button("only").on_hover_text("This scan alone").clicked() {
-                        scans.iter().for_each(|s| model.scans.set(s.id, s.visible, s.id == scan.id));
-                    }
+                    // What is left is the name's, however long.
+                    ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                        let name = ui.add(egui::Label::new(&scan.name).truncate());
+                        name.on_hover_text(format!("{}: {} points", scan.name, grouped(scan.points)));
+                    });
                 });
             });
         }

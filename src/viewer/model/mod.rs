@@ -1,28 +1,26 @@
 //! All that the window shows and that its panels change: state and what follows from it, without a window.
 
-use super::bindings::{self, Command, Key};
+mod commands;
+mod looks;
+mod section;
+
+pub(super) use looks::plain_shown;
+pub use section::Section;
+
 use super::measure::Measurement;
-use super::navigate::{Click, Navigator};
+use super::navigate::Navigator;
 use super::remembered::Remembered;
-use super::rig::{Mode, Rig};
+use super::rig::{Onto, Rig};
 use super::site::Site;
-use crate::geometry::{Camera, DVec3, WorldBox};
-use crate::lattice::Lattice;
-use crate::points::Batch;
-use crate::query::Filter;
-use crate::render::{ClipBox, ColorMode, ColorOptions, Coloring, Edl, Fog, MAX_CLIPS, Palette, RenderOptions, Shape};
-use crate::stream::gpu::Paint;
-use crate::stream::{Limits, ScanChoice, Shown, Status};
+use crate::geometry::{Camera, DVec3, ImageArea, WorldBox};
+use crate::render::{ColorMode, Coloring, MAX_CLIPS, Palette};
+use crate::stream::{ScanChoice, Status};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::Duration;
 
 /// How long a message is shown.
 const MESSAGE_SECONDS: f64 = 6.0;
-
-/// So many palettes are kept for points that are still shown in old colours.
-const KEPT_PALETTES: usize = 4;
 
 /// What the window has to do for the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,69 +64,6 @@ pub struct Found {
     pub world: DVec3,
     /// Its exact coordinates and its attributes, as text.
     pub values: Vec<(String, String)>,
-}
-
-/// Which sections of the panel are open.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Section {
-    /// Scans.
-    Scans,
-    /// Colours and their legend.
-    Color,
-    /// Budget and looks.
-    Quality,
-    /// Clip boxes and export.
-    Clip,
-    /// Measuring.
-    Measure,
-    /// Bookmarks and stations.
-    Places,
-    /// The point under the pointer.
-    Point,
-    /// Statistics.
-    Statistics,
-}
-
-impl Section {
-    /// All, in the order of the panel.
-    pub const ALL: [Self; 8] = [
-        Self::Scans,
-        Self::Color,
-        Self::Quality,
-        Self::Places,
-        Self::Measure,
-        Self::Clip,
-        Self::Point,
-        Self::Statistics,
-    ];
-
-    /// The word by which settings and scripts name it.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Scans => "scans",
-            Self::Color => "color",
-            Self::Quality => "quality",
-            Self::Clip => "clip",
-            Self::Measure => "measure",
-            Self::Places => "places",
-            Self::Point => "point",
-            Self::Statistics => "statistics",
-        }
-    }
-
-    /// The heading.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::Scans => "Scans",
-            Self::Color => "Colour",
-            Self::Quality => "Budget and looks",
-            Self::Clip => "Clip boxes, export",
-            Self::Measure => "Measure",
-            Self::Places => "Bookmarks, stations",
-            Self::Point => "Point",
-            Self::Statistics => "Statistics",
-        }
-    }
 }
 
 /// What is measured of drawing.
@@ -198,7 +133,9 @@ pub struct Model {
     /// What is told, and until when.
     message: Option<(String, f64)>,
     next_station: usize,
-    placed: bool,
+    /// The camera that shows everything, as long as nobody has moved it.
+    placed: Option<Rig>,
+    area: ImageArea,
     now: f64,
 }
 
@@ -239,7 +176,8 @@ impl Model {
             palettes: Vec::new(),
             message: None,
             next_station: 0,
-            placed: false,
+            placed: None,
+            area: ImageArea::WHOLE,
             now: 0.0,
         }
     }
@@ -252,13 +190,6 @@ impl Model {
 
     /// A newer generation is known. The first one with points is shown whole.
     pub fn set_site(&mut self, site: Site, aspect: f64) {
-        if let (false, Some(bounds)) = (self.placed, site.bounds) {
-            if let Ok(camera) = Camera::looking_at_all(&bounds, size_of_aspect(aspect)) {
-                self.nav.rig.place(&camera);
-                self.nav.rig.set_fov_y_deg(self.set.fov_y_deg);
-            }
-            self.placed = true;
-        }
         if let Some(before) = &self.site {
             let new: Vec<&str> = site
                 .scans
@@ -272,6 +203,50 @@ impl Model {
             }
         }
         self.site = Some(site);
+        if self.placed.is_none() {
+            self.place(aspect);
+        }
+    }
+
+    /// Panels leave this part of the picture free.
+    pub fn set_free_area(&mut self, area: ImageArea, aspect: f64) {
+        self.area = area;
+        self.place(aspect);
+    }
+
+    /// Shows everything for as long as nobody has moved the camera.
+    fn place(&mut self, aspect: f64) {
+        let untouched = self.placed.as_ref().is_none_or(|placed| *placed == self.nav.rig);
+        let places = self.places();
+        if !untouched || places.is_empty() {
+            return;
+        }
+        if self.placed.is_none()
+            && let Ok(camera) = Camera::seeing(&places, size_of_aspect(aspect))
+        {
+            self.nav.rig.place(&camera);
+            self.nav.rig.set_fov_y_deg(self.set.fov_y_deg);
+        }
+        self.nav.rig.place_to_fit(&places, self.onto(aspect));
+        self.placed = Some(self.nav.rig.clone());
+    }
+
+    fn onto(&self, aspect: f64) -> Onto {
+        Onto { aspect, area: self.area }
+    }
+
+    /// Where the points of the scans that are seen are: corners of boxes around them.
+    fn places(&self) -> Vec<DVec3> {
+        let (Some(site), Some(bounds)) = (&self.site, self.seen_bounds()) else { return Vec::new() };
+        let common =
+            |b: &WorldBox| WorldBox::new(b.min().max(bounds.min()).to_array(), b.max().min(bounds.max()).to_array());
+        let places: Vec<DVec3> = site.outline.iter().filter_map(common).flat_map(|b| b.corners()).collect();
+        if places.is_empty() { bounds.corners().to_vec() } else { places }
+    }
+
+    /// Goes to where everything is seen.
+    pub fn fit(&mut self, aspect: f64) {
+        self.nav.rig.fit(&self.places(), self.onto(aspect));
     }
 
     /// Shows a message for some seconds.
@@ -293,69 +268,6 @@ impl Model {
         self.nav.advance(seconds)
     }
 
-    /// A key goes down or up, which no text field wants.
-    pub fn key(&mut self, key: Key, down: bool, aspect: f64) {
-        self.nav.key(key, down);
-        if let (true, Some(command)) = (down, bindings::command(key)) {
-            self.command(command, aspect);
-        }
-    }
-
-    /// Does what a key or a button says.
-    pub fn command(&mut self, command: Command, aspect: f64) {
-        use std::f64::consts::FRAC_PI_2;
-        let bounds = self.seen_bounds();
-        let mut from = |yaw: f64, pitch: f64| {
-            if let Some(bounds) = &bounds {
-                self.nav.rig.mode = Mode::Orbit;
-                self.nav.rig.fit_from(bounds, aspect, yaw, pitch);
-            }
-        };
-        match command {
-            Command::Top => from(FRAC_PI_2, -FRAC_PI_2),
-            Command::Front => from(FRAC_PI_2, 0.0),
-            Command::Side => from(2.0 * FRAC_PI_2, 0.0),
-            Command::Fit => {
-                if let Some(bounds) = &bounds {
-                    self.nav.fit(bounds, aspect);
-                }
-            }
-            Command::Orthographic => {
-                let parallel = self.nav.rig.is_orthographic();
-                self.nav.rig.set_orthographic(!parallel);
-            }
-            Command::Mode(mode) => {
-                let now = self.nav.rig.mode;
-                self.nav.rig.mode = if now == mode && mode == Mode::Walk { Mode::Fly } else { mode };
-            }
-            Command::Measure => {
-                self.measuring = !self.measuring;
-                if self.measuring {
-                    self.open.insert(Section::Measure);
-                }
-            }
-            Command::Undo => self.measured.undo(),
-            Command::Bookmark => self.bookmark(aspect),
-            Command::NextStation => self.next_station(),
-            Command::Screenshot => self.actions.push(Action::Screenshot),
-            Command::Help => {
-                self.help = !self.help;
-                self.set.knows_help = true;
-            }
-            Command::Panels => self.set.panels = !self.set.panels,
-            Command::FullScreen => self.actions.push(Action::FullScreen),
-            Command::Escape => {
-                if self.help {
-                    self.command(Command::Help, aspect);
-                } else if self.measuring {
-                    self.measuring = false;
-                } else {
-                    self.nav.rig.mode = Mode::Orbit;
-                }
-            }
-        }
-    }
-
     /// The bounds of the scans that are seen.
     pub fn seen_bounds(&self) -> Option<WorldBox> {
         let site = self.site.as_ref()?;
@@ -364,53 +276,6 @@ impl Model {
             WorldBox::new(a.min().min(b.min()).to_array(), a.max().max(b.max()).to_array()).unwrap_or(a)
         };
         seen.reduce(join).or(site.bounds)
-    }
-
-    /// Keeps the view under the name that was typed, or a new one.
-    fn bookmark(&mut self, aspect: f64) {
-        let typed = self.bookmark_name.trim().to_owned();
-        let taken = |name: &str| self.site.as_ref().is_some_and(|s| s.bookmarks.iter().any(|(n, _)| n == name));
-        let numbered = || (1..).map(|i| format!("view {i}")).find(|name| !taken(name)).unwrap_or_default();
-        let name = if typed.is_empty() { numbered() } else { typed };
-        if let Ok(camera) = self.nav.rig.camera(size_of_aspect(aspect)) {
-            self.actions.push(Action::SaveBookmark(name, Box::new(camera)));
-            self.bookmark_name.clear();
-        }
-    }
-
-    fn next_station(&mut self) {
-        let stations: Vec<(String, DVec3)> = match &self.site {
-            Some(site) => site.stations().map(|(name, place)| (name.to_owned(), place)).collect(),
-            None => Vec::new(),
-        };
-        if stations.is_empty() {
-            return self.tell("These scans don't say where their scanners stood");
-        }
-        let (name, place) = stations[self.next_station % stations.len()].clone();
-        self.next_station += 1;
-        self.stand_at(&name, place);
-    }
-
-    /// Stands where a scanner stood.
-    pub fn stand_at(&mut self, name: &str, place: DVec3) {
-        self.nav.rig.mode = Mode::Fly;
-        self.nav.rig.stand_at(place);
-        self.tell(format!("Scanner of {name}"));
-    }
-
-    /// The point under the pointer was clicked, or nothing was.
-    pub fn click(&mut self, click: Click) {
-        let Some(found) = self.hover.clone() else { return };
-        match click {
-            Click::Double => self.nav.rig.go_to(found.world),
-            Click::Single if self.measuring => {
-                self.measured.add(found.world);
-                self.picked = Some(found);
-            }
-            Click::Single => {
-                self.picked = Some(found);
-            }
-        }
     }
 
     /// A box around what is looked at.
@@ -431,111 +296,6 @@ impl Model {
             on: true,
         });
     }
-
-    /// How the points are drawn.
-    pub fn options(&self) -> RenderOptions {
-        let set = &self.set;
-        let clip = |c: &Clip| ClipBox::from_bounds(&c.bounds()?, c.keep).ok();
-        let reach = self.seen_bounds().map_or(1.0, |b| b.extent().length());
-        RenderOptions {
-            radius_factor: set.splat,
-            min_radius_px: set.least_px,
-            shape: set.shape.parse::<Shape>().unwrap_or_default(),
-            edl: (set.edl > 0.0).then(|| Edl { strength: set.edl, ..Edl::default() }),
-            shadow_px: set.shadow_px,
-            // Half of the site away at full haze everything is half hidden.
-            fog: (set.haze > 0.0).then(|| Fog { color: None, start: 0.0, half: (reach * 0.25 / set.haze).max(1e-9) }),
-            clips: self.clips.iter().filter(|c| c.on).filter_map(clip).take(MAX_CLIPS).collect(),
-            node_boxes: self.node_boxes,
-            ..RenderOptions::default()
-        }
-    }
-
-    /// How much may be used.
-    pub fn limits(&self) -> Limits {
-        Limits { points: self.set.budget_points, error_px: self.set.error_px, ..Limits::default() }
-    }
-
-    /// The colouring of the site; made when something that it depends on has changed.
-    pub fn coloring(&mut self) -> Option<&Coloring> {
-        let site = self.site.as_ref()?;
-        let key: ColorKey = (self.mode, self.range.map(|r| r.map(f64::to_bits)));
-        let fresh = self.coloring.as_ref().is_some_and(|(g, k, _)| (*g, *k) == (site.generation, key));
-        if !fresh {
-            let options = ColorOptions {
-                mode: self.mode,
-                depths: site.depths.clone(),
-                range: self.range,
-                scan_names: site.scans.iter().map(|s| (s.id, s.name.clone())).collect(),
-            };
-            let made = Coloring::new(&[&site.sample], &site.lattice, &options).or_else(|_| {
-                // The mode shows what these points lack: heights are always there.
-                Coloring::new(&[&site.sample], &site.lattice, &ColorOptions { mode: ColorMode::Height, ..options })
-            });
-            self.coloring = Some((site.generation, key, made.ok()?));
-        }
-        self.coloring.as_ref().map(|(_, _, coloring)| coloring)
-    }
-
-    /// The colours of the values that a paint made: while points of a new paint are on their way the old ones are shown as
-    /// they were.
-    pub fn palette_for(&mut self, paint: u64) -> Palette {
-        if let Some(coloring) = self.coloring() {
-            let (tag, palette) = (coloring.paint.tag(), coloring.palette.clone());
-            self.palettes.retain(|(t, _)| *t != tag);
-            self.palettes.push((tag, palette));
-            let old = self.palettes.len().saturating_sub(KEPT_PALETTES);
-            self.palettes.drain(..old);
-        }
-        let found = self.palettes.iter().find(|(tag, _)| *tag == paint);
-        found.map(|(_, palette)| palette.clone()).unwrap_or_default()
-    }
-
-    /// What the stream is to show.
-    pub fn shown(&mut self) -> Option<Shown> {
-        let filter = self.class_filter();
-        let scans = self.scans.clone();
-        let paint = self.coloring()?.paint.clone();
-        Some(Shown { scans, filter, paint })
-    }
-
-    /// Hides the classes that are off.
-    fn class_filter(&self) -> Option<Filter> {
-        let there = self.site.as_ref().is_some_and(|s| s.has("Classification"));
-        if self.classes_off.is_empty() || !there {
-            return None;
-        }
-        let classes: Vec<String> = self.classes_off.iter().map(u32::to_string).collect();
-        let text = format!("Classification is null or not (Classification in ({}))", classes.join(", "));
-        Filter::parse(&text).ok()
-    }
-}
-
-/// What is shown before anything is known of the store.
-pub(super) fn plain_shown() -> Shown {
-    Shown { scans: ScanChoice::default(), filter: None, paint: Arc::new(Grey) }
-}
-
-/// All points are grey.
-#[derive(Debug)]
-struct Grey;
-
-impl Paint for Grey {
-    fn tag(&self) -> u64 {
-        0
-    }
-
-    fn attributes(&self) -> Vec<String> {
-        Vec::new()
-    }
-
-    fn needs_scans(&self) -> bool {
-        false
-    }
-
-    fn paint(&self, batch: &Batch, _: &Lattice, values: &mut Vec<u32>) {
-        values.resize(values.len() + batch.len(), u32::from_le_bytes([150, 150, 150, 255]));
-    }
 }
 
 fn size_of_aspect(aspect: f64) -> [u32; 2] {
@@ -546,7 +306,11 @@ fn size_of_aspect(aspect: f64) -> [u32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::Lattice;
+    use crate::points::Batch;
     use crate::render::ColorDepths;
+    use crate::viewer::bindings::{Command, Key};
+    use crate::viewer::navigate::Click;
     use crate::viewer::site::ScanFacts;
 
     fn site(generation: u64, names: &[&str]) -> Site {
@@ -563,6 +327,7 @@ mod tests {
             lattice: Lattice::uniform(0.001).unwrap(),
             scans: (1..).zip(names).map(scan).collect(),
             bounds: WorldBox::new([10.0, 0.0, 0.0], [28.0, 20.0, 5.0]),
+            outline: Vec::new(),
             points: 20,
             attributes: vec!["Classification".into()],
             unit: "m".into(),

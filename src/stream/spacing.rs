@@ -1,0 +1,308 @@
+//! How far apart the points of a picture lie, place by place, as they were counted when they were packed.
+//!
+//! The tree's cells say how far apart points are where there are enough of them, and nothing of where there are not: a
+//! leaf may be dense in a corner and thin elsewhere, and an octant without a child has what happened to be left there. So
+//! the points of each part are counted in 64 cubes of its node, as points per *surface*: points lie on walls and ground, so
+//! the cells that they occupy, of a size at which a cell has some points, say how large that surface is.
+
+use super::gpu::{DrawList, Patch};
+use crate::lattice::{BITS, Cube, LatticePoint};
+use crate::points::Positions;
+use std::collections::HashMap;
+
+/// Cubes of a node in which its points are counted: those of its octants' octants.
+const FINE: usize = 64;
+/// Fewer points than these say nothing of how close they lie: they are taken to lie as those around them do.
+const LEAST_POINTS: u32 = 16;
+/// A cell of the size that is looked for has so many points on the mean.
+const POINTS_OF_A_CELL: u32 = 3;
+/// Points that lie anyhow leave wider gaps than those on a grid of the same density.
+const REACH: f64 = 1.25;
+/// Cubes beside each other that differ by less are drawn alike.
+const ALIKE: f64 = 1.25;
+
+/// How close points lie in the 64 cubes of a node, in points per area of a lattice step's square; 0 where there are none,
+/// or nothing is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Densities([f32; FINE]);
+
+impl Default for Densities {
+    fn default() -> Self {
+        Self([0.0; FINE])
+    }
+}
+
+/// Neighbours in key order, by how many of their low bits differ.
+#[derive(Clone)]
+struct Pairs {
+    points: u32,
+    by_bits: [u32; BITS as usize + 1],
+}
+
+impl Default for Pairs {
+    fn default() -> Self {
+        Self { points: 0, by_bits: [0; BITS as usize + 1] }
+    }
+}
+
+impl Pairs {
+    fn add(&mut self, other: &Self) {
+        self.points += other.points;
+        self.by_bits.iter_mut().zip(&other.by_bits).for_each(|(a, b)| *a += b);
+    }
+
+    /// Points per area, by the finest cells that have enough points each.
+    fn density(&self) -> Option<f32> {
+        // Of the finest cells, one for each pair that differs at all, and one for the first point.
+        let mut cells = 1 + self.by_bits[1..].iter().sum::<u32>();
+        for bits in 0..=usize::from(BITS) {
+            if bits > 0 {
+                cells -= self.by_bits[bits];
+            }
+            if self.points >= POINTS_OF_A_CELL * cells {
+                let coarser = cells - self.by_bits.get(bits + 1).copied().unwrap_or(0);
+                // 4 on a surface, 8 in a cloud, where what lies behind shows through gaps: smaller splats do there.
+                let through = (cells as f32 / (4 * coarser) as f32).clamp(1.0, 2.0);
+                return Some(self.points as f32 / (cells as f32 * 4_f32.powi(bits as i32)) * through.powf(1.2));
+            }
+        }
+        None
+    }
+}
+
+/// The count of a node's points as it goes on.
+#[derive(Default)]
+struct Count {
+    densities: Densities,
+    fine: Pairs,
+    octant: Pairs,
+    node: Pairs,
+    /// Fine cubes of too few points: their octant says how close these lie, or the node.
+    left_to_octant: Vec<usize>,
+    left_to_node: Vec<usize>,
+}
+
+impl Count {
+    fn end_fine(&mut self, at: usize) {
+        match self.fine.density().filter(|_| self.fine.points >= LEAST_POINTS) {
+            Some(density) => self.densities.0[at] = density,
+            None => self.left_to_octant.push(at),
+        }
+        self.octant.add(&std::mem::take(&mut self.fine));
+    }
+
+    fn end_octant(&mut self) {
+        match self.octant.density().filter(|_| self.octant.points >= LEAST_POINTS) {
+            Some(density) => self.left_to_octant.drain(..).for_each(|at| self.densities.0[at] = density),
+            None => self.left_to_node.append(&mut self.left_to_octant),
+        }
+        self.node.add(&std::mem::take(&mut self.octant));
+    }
+
+    fn end(mut self) -> Densities {
+        if let Some(density) = self.node.density() {
+            self.left_to_node.iter().for_each(|&at| self.densities.0[at] = density);
+        }
+        self.densities
+    }
+}
+
+impl Densities {
+    /// Of points in `cube`, given in key order.
+    pub fn of(cube: Cube, positions: &Positions) -> Self {
+        let mut count = Count::default();
+        let mut last: Option<([u64; 3], usize)> = None;
+        for ((&x, &y), &z) in positions.x.iter().zip(&positions.y).zip(&positions.z) {
+            let at = fine_place(cube, LatticePoint([x, y, z]));
+            if let Some(([px, py, pz], before)) = last {
+                let differing = u64::BITS - ((x ^ px) | (y ^ py) | (z ^ pz)).leading_zeros();
+                let pairs = if at == before {
+                    &mut count.fine
+                } else {
+                    count.end_fine(before);
+                    if at >> 3 == before >> 3 {
+                        &mut count.octant
+                    } else {
+                        count.end_octant();
+                        &mut count.node
+                    }
+                };
+                pairs.by_bits[(differing as usize).min(usize::from(BITS))] += 1;
+            }
+            count.fine.points += 1;
+            last = Some(([x, y, z], at));
+        }
+        if let Some((_, at)) = last {
+            count.end_fine(at);
+            count.end_octant();
+        }
+        count.end()
+    }
+
+    /// Adds those of other points in the same cube, of which a `share` is drawn.
+    fn add(&mut self, other: &Self, share: f32) {
+        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b * share);
+    }
+}
+
+/// Which of the 64 cubes holds the point: its octant, then the octant of that.
+fn fine_place(cube: Cube, point: LatticePoint) -> usize {
+    let bits = |below: u8| {
+        // A cube of one step has no octants: all its points are in the first.
+        let Some(shift) = cube.k().checked_sub(below) else { return 0 };
+        (0..3).fold(0, |octant, i| octant | ((point.0[i] >> shift & 1) as usize) << i)
+    };
+    bits(1) << 3 | bits(2)
+}
+
+/// Gives every node of a list, and the cubes in it where that differs, the distance at which its points lie: `parts` has
+/// what is drawn, each with its node and how much of it that is.
+///
+/// What nodes above have in a cube is counted with what the node has, and so is what other layers have.
+pub fn set_spacings<'d>(list: &mut DrawList, parts: impl IntoIterator<Item = (u32, &'d Densities, f32)>) {
+    let mut places: HashMap<Cube, usize> = HashMap::new();
+    let mut cubes: Vec<(Cube, Densities)> = Vec::new();
+    let mut place_of = Vec::with_capacity(list.nodes.len());
+    for node in &list.nodes {
+        let place = *places.entry(node.cube).or_insert_with(|| {
+            cubes.push((node.cube, Densities::default()));
+            cubes.len() - 1
+        });
+        place_of.push(place);
+    }
+    for (node, densities, share) in parts {
+        if let Some(&place) = place_of.get(node as usize) {
+            cubes[place].1.add(densities, share);
+        }
+    }
+    let drawn = |cube: Cube| places.get(&cube).map(|&place| &cubes[place].1.0);
+    let quantum = list.lattice.largest_quantum();
+    let spacing = |density: f32| REACH * quantum / f64::from(density).sqrt();
+    list.patches.clear();
+    for (at, node) in (0_u32..).zip(&mut list.nodes) {
+        let cube = node.cube;
+        let (own, parent) = (&cubes[place_of[at as usize]].1.0, drawn(cube.parent()).filter(|_| cube.k() < BITS));
+        // The parent has counted in this one's octants, and the one above that in all of this one.
+        let above = cube.parent().parent();
+        let far = drawn(above).filter(|_| above.k() == cube.k() + 2).map_or(0.0, |d| d[fine_place(above, cube.low())]);
+        let near = |octant: usize| parent.map_or(0.0, |d| d[usize::from(cube.octant()) << 3 | octant]);
+        let seen = |fine: usize| own[fine] + near(fine >> 3);
+        let total: [Option<f64>; FINE] =
+            std::array::from_fn(|fine| (seen(fine) > 0.0).then(|| spacing(seen(fine) + far)));
+        let Some(whole) = mean(&total) else { continue };
+        node.spacing = whole;
+        for octant in 0..8_u8 {
+            let Some(child) = cube.child(octant).filter(|child| !places.contains_key(child)) else { continue };
+            let fine = &total[usize::from(octant) << 3..][..8];
+            let Some(spacing) = mean(fine) else { continue };
+            let differs = |s: f64, from: f64| s > from * ALIKE || s < from / ALIKE;
+            let inside: Vec<(Cube, f64)> = (0..8_u8)
+                .filter_map(|o| Some((child.child(o)?, fine[usize::from(o)].filter(|&s| differs(s, spacing))?)))
+                .collect();
+            if inside.is_empty() && !differs(spacing, whole) {
+                continue;
+            }
+            list.patches.push(Patch { node: at, cube: child, spacing });
+            list.patches.extend(inside.into_iter().map(|(cube, spacing)| Patch { node: at, cube, spacing }));
+        }
+    }
+}
+
+/// The geometric mean of those that are known.
+fn mean(spacings: &[Option<f64>]) -> Option<f64> {
+    let known: Vec<f64> = spacings.iter().flatten().map(|s| s.ln()).collect();
+    (!known.is_empty()).then(|| (known.iter().sum::<f64>() / known.len() as f64).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::gpu::DrawNode;
+    use super::*;
+    use crate::lattice::{Key, Lattice};
+
+    fn positions(mut points: Vec<[u64; 3]>) -> Positions {
+        points.sort_by_key(|p| Key::of(LatticePoint(*p)));
+        points.into_iter().map(LatticePoint).collect()
+    }
+
+    /// A floor of points `apart` from each other, moved about by less than that; `to` ends it on both axes.
+    fn floor(from: [u64; 2], to: [u64; 2], apart: u64) -> Vec<[u64; 3]> {
+        let mut points = Vec::new();
+        for x in (from[0]..to[0]).step_by(apart as usize) {
+            for y in (from[1]..to[1]).step_by(apart as usize) {
+                let at = (x * 31 + y * 17) % apart;
+                points.push([x + at / 2, y + (at * 7 % apart) / 2, 5]);
+            }
+        }
+        points
+    }
+
+    fn list(cubes: &[Cube]) -> DrawList {
+        let mut list = DrawList::empty(Lattice::uniform(1.0).unwrap(), 0);
+        let node = |&cube: &Cube| DrawNode { cube, layer: 0, spacing: 77.0, stand_in: false, parent: None };
+        list.nodes.extend(cubes.iter().map(node));
+        list
+    }
+
+    /// The spacing of the finest node or patch around a point.
+    fn spacing_at(list: &DrawList, point: [u64; 3]) -> f64 {
+        let nodes = list.nodes.iter().map(|n| (n.cube, n.spacing));
+        let all = nodes.chain(list.patches.iter().map(|p| (p.cube, p.spacing)));
+        let here = all.filter(|(cube, _)| cube.contains(LatticePoint(point)));
+        here.min_by_key(|(cube, _)| cube.k()).map(|(_, spacing)| spacing).unwrap()
+    }
+
+    fn is_near(spacing: f64, apart: f64) -> bool {
+        (0.8..1.25).contains(&(spacing / (REACH * apart)))
+    }
+
+    #[test]
+    fn points_are_drawn_as_far_apart_as_they_lie_in_each_place() {
+        let cube = Cube::containing(LatticePoint([0; 3]), 12);
+        // A dense corner, a thin floor beside it, some strays, and nothing anywhere else.
+        let mut points = floor([0, 0], [1024, 1024], 8);
+        points.extend(floor([2048, 0], [4096, 4096], 64));
+        points.extend([[100, 3000, 3000], [900, 3900, 2500]]);
+        let densities = Densities::of(cube, &positions(points));
+        let mut list = list(&[cube]);
+        set_spacings(&mut list, [(0, &densities, 1.0)]);
+        for (point, apart) in [([500, 500, 5], 8.0), ([3000, 3000, 5], 64.0), ([2100, 100, 5], 64.0)] {
+            let spacing = spacing_at(&list, point);
+            assert!(is_near(spacing, apart), "{spacing} at {point:?} for {apart}");
+        }
+        let stray = spacing_at(&list, [100, 3000, 3000]);
+        assert!(stray < 1.25 * REACH * 64.0, "a stray is not larger than its surroundings: {stray}");
+        // A quarter of the points lies twice as far apart.
+        set_spacings(&mut list, [(0, &densities, 0.25)]);
+        assert!(is_near(spacing_at(&list, [500, 500, 5]), 16.0));
+    }
+
+    #[test]
+    fn what_lies_above_and_in_other_layers_counts() {
+        let parent = Cube::containing(LatticePoint([0; 3]), 12);
+        let child = parent.child(0).unwrap();
+        let all = floor([0, 0], [2048, 2048], 16);
+        let (above, below): (Vec<_>, Vec<_>) = all.into_iter().partition(|p| p[0] / 16 % 2 == 0);
+        let mut list = list(&[parent, child, child]);
+        let [above, below] = [(parent, above), (child, below)].map(|(cube, p)| Densities::of(cube, &positions(p)));
+        set_spacings(&mut list, [(0, &above, 1.0), (1, &below, 1.0)]);
+        assert!(is_near(spacing_at(&list, [700, 700, 5]), 16.0), "half of the points is in the parent: {list:?}");
+        list.nodes[0].spacing = 77.0;
+        set_spacings(&mut list, [(1, &below, 1.0), (2, &below, 1.0)]);
+        assert!(is_near(spacing_at(&list, [700, 700, 5]), 16.0), "half of the points is in another layer");
+        assert_eq!(list.nodes[0].spacing, 77.0, "nothing is known of it");
+    }
+
+    #[test]
+    fn points_on_one_place_are_as_close_as_can_be() {
+        for k in [0, 1, 12, BITS] {
+            let cube = Cube::containing(LatticePoint([9; 3]), k);
+            let densities = Densities::of(cube, &positions(vec![[9; 3]; 100_000]));
+            let mut list = list(&[cube]);
+            set_spacings(&mut list, [(0, &densities, 1.0)]);
+            assert!(list.nodes[0].spacing < 0.01, "{k}: {}", list.nodes[0].spacing);
+        }
+        let empty = Densities::of(Cube::containing(LatticePoint([9; 3]), 7), &positions(vec![[9; 3], [10; 3]]));
+        assert_eq!(empty, Densities::default(), "two points say nothing");
+    }
+}

@@ -197,6 +197,13 @@ impl Walk {
         for part in drawn.iter().filter(|p| all && p.2 > 0) {
             assert!(drawn.contains(&(part.0, part.1, part.2 - 1)), "a part is left out");
         }
+        // And no part without those above that it refines.
+        let layer = |p: &WantedPart| front.wanted.nodes[p.node as usize].layer;
+        let is_drawn = |p: &WantedPart| drawn.contains(&(p.cube, layer(p), p.part));
+        for part in front.wanted.parts.iter().filter(|p| all && is_drawn(p)) {
+            let before = part.after.map(|before| &front.wanted.parts[before as usize]);
+            assert!(before.is_none_or(is_drawn), "{:?} is drawn without what it refines", part.cube);
+        }
         if let Some(last) = &self.last
             && last.number != front.number
         {

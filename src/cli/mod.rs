@@ -29,6 +29,8 @@ mod view;
 mod visibility;
 mod which;
 
+use crate::ingest::IngestError;
+use crate::query::QueryError;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -123,7 +125,6 @@ pub fn main() -> ExitCode {
 
 /// Did Ctrl-C end the command?
 fn is_interrupted(error: &anyhow::Error) -> bool {
-    use crate::{ingest::IngestError, query::QueryError};
     error.downcast_ref::<IngestError>().is_some_and(|e| matches!(e, IngestError::Interrupted))
         || error.downcast_ref::<QueryError>().is_some_and(|e| matches!(e, QueryError::Cancelled))
 }

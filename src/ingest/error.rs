@@ -116,7 +116,9 @@ pub enum IngestError {
         phase: String,
     },
     /// Scale and offset of a source have too many digits for exact arithmetic.
-    #[error("{0}: its scale and offset can't be brought to the store's lattice exactly; use a quantum of fewer digits")]
+    #[error(
+        "{0}: its scale and offset have too many digits for exact arithmetic; rewrite it with a scale such as 0.001"
+    )]
     Grid(PathBuf),
     /// Every point of a source is out of the lattice's range.
     #[error(

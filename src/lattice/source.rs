@@ -82,10 +82,11 @@ impl SourceMap {
             let (scale, offset) = (grid.scale[i], grid.offset[i]);
             let unit = Decimal::new(1, exponent).common_exponent(scale).min(offset.common_exponent(scale));
             let factor = 10_i128.checked_pow(u32::try_from(exponent - unit).ok()?)?;
-            let fits = |v: i128| (v.unsigned_abs() < 1 << 90).then_some(v);
-            let quantum = fits(quantum.checked_mul(factor)?)?;
-            let scale = fits(scale.scaled_to(unit)?)?;
-            let offset = fits(offset.scaled_to(unit)?.checked_sub(phase.checked_mul(factor)?)?)?;
+            // Twice `scale * X + offset + quantum`, X below 2^31, must fit.
+            let fits = |v: i128, bits: u32| (v.unsigned_abs() < 1 << bits).then_some(v);
+            let quantum = fits(quantum.checked_mul(factor)?, 90)?;
+            let scale = fits(scale.scaled_to(unit)?, 90)?;
+            let offset = fits(offset.scaled_to(unit)?.checked_sub(phase.checked_mul(factor)?)?, 120)?;
             let exact = (scale % quantum == 0 && offset % quantum == 0)
                 .then(|| {
                     let multiplier = i64::try_from(scale / quantum).ok().filter(|m| *m < 1 << 30)?;
@@ -162,9 +163,9 @@ mod tests {
     proptest! {
         #[test]
         fn source_integers_come_back_when_the_quantum_is_no_coarser(
-            scale in prop::sample::select(vec![0.01, 0.001, 0.00025, 0.3, 1.0]),
+            scale in prop::sample::select(vec![0.01, 0.001, 0.00025, 0.3, 1.0, 1.0 / 3e6, 1e-5_f64.next_up(), f64::from(0.001_f32)]),
             quantum in prop::sample::select(vec![0.01, 0.001, 0.00025, 0.0001, 0.004, 1.0]),
-            offset in prop::sample::select(vec![0.0, 0.005, 0.0005, 637000.123, -1423214.5199999998, 0.000125]),
+            offset in prop::sample::select(vec![0.0, 0.005, 0.0005, 637000.123, -1423214.5199999998, 0.000125, 6271234.512345678]),
             x in any::<i32>(),
         ) {
             let lattice = Lattice::uniform(quantum).unwrap();

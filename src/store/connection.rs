@@ -20,11 +20,14 @@ const PAGE_BYTES: u32 = 2048;
 /// How long SQLite waits for a lock of another process.
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How often the file is tried for, when it is wanted alone: readers of this process may just be closing.
+/// How often it is tried to leave the log: readers of this process may just be closing.
 const TRIES_ALONE: usize = 5;
 
 /// How long between.
 const TRY_AGAIN: Duration = Duration::from_millis(10);
+
+/// How long a first filling waits for a reader. Readers stay for moments; more than that, and hours of work would be lost.
+const PATIENCE_WITHOUT_LOG: Duration = Duration::from_secs(60);
 
 /// What a connection is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,14 +77,16 @@ fn prepare(connection: &Connection, purpose: Purpose) -> Result<(), RowError> {
     Ok(())
 }
 
-/// Takes the file for this connection alone and leaves the log for a rollback journal, if nobody else has it open; says if
-/// it did.
+/// Leaves the log for a rollback journal, if nobody else has the file open; says if it did.
+///
+/// Pages are then written when a transaction ends and not before, so readers that come later wait no longer than that.
 pub(super) fn leave_log(connection: &Connection) -> Result<bool, RowError> {
     for _ in 0..TRIES_ALONE {
         let mode = connection.query_row("PRAGMA journal_mode = DELETE", [], |row| row.get::<_, String>(0));
         match mode {
             Ok(mode) if mode == "delete" => {
-                connection.execute_batch("PRAGMA locking_mode = EXCLUSIVE; BEGIN EXCLUSIVE; COMMIT")?;
+                connection.pragma_update(None, "cache_spill", false)?;
+                connection.busy_timeout(PATIENCE_WITHOUT_LOG)?;
                 return Ok(true);
             }
             // Not as long as there is another connection.
@@ -94,9 +99,11 @@ pub(super) fn leave_log(connection: &Connection) -> Result<bool, RowError> {
     Ok(false)
 }
 
-/// Back to the log; the file stays this connection's alone until that is closed.
+/// Back to the log.
 pub(super) fn enter_log(connection: &Connection) -> Result<(), RowError> {
     let mode: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
+    connection.pragma_update(None, "cache_spill", true)?;
+    connection.busy_timeout(PATIENCE)?;
     if mode == "wal" { Ok(()) } else { Err(RowError::Inconsistent("the file can't go back to its log".into())) }
 }
 
@@ -191,10 +198,12 @@ fn check_wal(path: &Path) -> Result<(), StoreError> {
 }
 
 /// A journal that a deleted store left must not be taken for this one's: SQLite would undo what it says. There is one only
-/// before the first commit of a store.
+/// before the first commit of a store, which may just be happening.
 fn check_journal(path: &Path) -> Result<(), StoreError> {
     match open_raw(path, Purpose::Immutable).and_then(|c| load_site(&c)) {
-        Ok(row) if row.site.generation > 0 => Err(StoreError::ForeignJournal { path: path.to_path_buf() }),
+        Ok(row) if row.site.generation > 0 && has_journal(path) => {
+            Err(StoreError::ForeignJournal { path: path.to_path_buf() })
+        }
         _ => Ok(()),
     }
 }

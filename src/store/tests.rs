@@ -328,37 +328,77 @@ fn a_new_store_replaces_no_file_and_adopts_no_log() {
 }
 
 #[test]
-fn a_first_filling_has_the_file_to_itself_and_then_goes_through_the_log() {
+fn a_first_filling_goes_straight_into_the_file_and_the_flip_through_the_log() {
     let (_folder, path) = folder();
     let store = Store::create(&path, options()).unwrap();
-    let other = || {
-        let connection = Connection::open(&path).unwrap();
-        connection.busy_timeout(Duration::ZERO).unwrap();
-        connection.query_row("SELECT generation FROM site", [], |row| row.get::<_, i64>(0))
-    };
+    let other = || Store::open(&path).unwrap().snapshot().unwrap().generation();
     let mut writer = store.writer().unwrap();
     writer.expect_many().unwrap();
     drop(prepare(&mut writer, some_points(3000), &[]));
-    assert_eq!(other().unwrap_err().sqlite_error_code(), Some(rusqlite::ErrorCode::DatabaseBusy));
     assert!(journal(&path).exists() && !wal(&path).exists());
+    // An open transaction is in nobody's way.
+    let impatient = Connection::open(&path).unwrap();
+    impatient.busy_timeout(Duration::ZERO).unwrap();
+    let generation = impatient.query_row("SELECT generation FROM site", [], |row| row.get::<_, i64>(0));
+    assert_eq!(generation.unwrap(), 0);
+    drop(impatient);
+    assert_eq!(other(), 0);
     // Given up, it was never there.
     drop(writer);
-    assert_eq!(other().unwrap(), 0);
+    assert_eq!(other(), 0);
     let mut writer = store.writer().unwrap();
     writer.expect_many().unwrap();
     let change = prepare(&mut writer, some_points(3000), &[]);
+    assert!(journal(&path).exists());
+    // Who came meanwhile sees the commit.
+    let early = Store::open(&path).unwrap();
+    assert_eq!(early.snapshot().unwrap().generation(), 0);
     writer.commit(change).unwrap();
-    assert_eq!(other().unwrap(), 1);
+    assert_eq!((early.snapshot().unwrap().generation(), other()), (1, 1));
     assert!(!journal(&path).exists());
     let held = store.snapshot().unwrap();
     assert_eq!(content(&held).unwrap(), sorted(some_points(3000)));
-    // From then on readers keep what they have.
+    // From then on there is only the log.
     writer.expect_many().unwrap();
     let change = prepare(&mut writer, some_points(400), held.scans());
     assert!(!journal(&path).exists());
-    assert_eq!(other().unwrap(), 1);
+    assert_eq!(other(), 1);
     writer.commit(change).unwrap();
-    assert_eq!((held.generation(), other().unwrap()), (1, 2));
+    assert_eq!((held.generation(), other()), (1, 2));
+}
+
+#[test]
+fn readers_of_a_store_that_is_first_filled_are_never_refused() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let mut writer = store.writer().unwrap();
+    writer.expect_many().unwrap();
+    let done = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let readers: Vec<_> = (0..3)
+            .map(|_| {
+                scope.spawn(|| {
+                    let mut seen = vec![0];
+                    while !done.load(std::sync::atomic::Ordering::Relaxed) {
+                        seen.push(Store::open(&path).unwrap().snapshot().unwrap().generation());
+                    }
+                    seen
+                })
+            })
+            .collect();
+        for _ in 0..20 {
+            drop(prepare(&mut writer, some_points(2000), &[]));
+            assert!(journal(&path).exists());
+        }
+        let change = prepare(&mut writer, some_points(3000), &[]);
+        writer.commit(change).unwrap();
+        done.store(true, std::sync::atomic::Ordering::Relaxed);
+        for reader in readers {
+            let seen = reader.join().unwrap();
+            assert!(seen.is_sorted() && seen.len() > 1);
+        }
+    });
+    assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(3000)));
 }
 
 #[test]

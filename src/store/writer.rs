@@ -91,8 +91,8 @@ pub struct Writer {
     pending_bytes: Option<u64>,
     /// A payload write failed: what follows can't be complete.
     failed: bool,
-    /// The file is this connection's alone, and rows go straight into it, under a rollback journal.
-    alone: bool,
+    /// Rows go straight into the file, under a rollback journal.
+    without_log: bool,
     /// The size at which the log is looked at next.
     wal_limit: u64,
     leftovers: Leftovers,
@@ -135,7 +135,7 @@ impl Writer {
             attributes,
             pending_bytes: None,
             failed: false,
-            alone: false,
+            without_log: false,
             wal_limit: WAL_BYTES,
             leftovers: Leftovers::default(),
         };
@@ -213,30 +213,19 @@ impl Writer {
     }
 
     /// Says that many rows are about to come. Into a store that nothing was ever committed to they are then written once,
-    /// straight into the file, and not twice, through the log, unless somebody else has the store open: whoever opens it
-    /// before the commit has to wait for it.
+    /// straight into the file, and not twice, through the log, unless somebody else has the store open. Whoever opens it
+    /// meanwhile finds it empty, and waits at most while a transaction is written.
     ///
     /// # Errors
     ///
     /// As [`Writer::put_chunks`].
     pub fn expect_many(&mut self) -> Result<(), StoreError> {
         let Place::File(file) = &*self.place else { return Ok(()) };
-        if self.site.site.generation == 0 && self.pending_bytes.is_none() && !self.alone {
+        if self.site.site.generation == 0 && self.pending_bytes.is_none() && !self.without_log {
             file.close_idle();
-            self.alone = self.run(connection::leave_log)?;
+            self.without_log = self.run(connection::leave_log)?;
         }
         Ok(())
-    }
-
-    /// Lets others have the file again.
-    fn share(&mut self) {
-        let Place::File(file) = &*self.place else { return };
-        if std::mem::take(&mut self.alone) {
-            // The lock goes with the connection.
-            self.connection = None;
-            // Without one whatever comes next fails.
-            self.connection = connection::open(&file.path, Purpose::Write).ok();
-        }
     }
 
     /// Writes chunk rows, which nothing refers to before the next commit. Transactions stay open from call to call and
@@ -257,7 +246,7 @@ impl Writer {
     fn try_put<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
         let mut pending = self.pending_bytes;
         // A log may end anywhere after a crash; in the file itself the order of writes matters.
-        let begin = match self.alone {
+        let begin = match self.without_log {
             true => "PRAGMA synchronous = FULL; BEGIN IMMEDIATE",
             false => "PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE",
         };
@@ -307,9 +296,10 @@ impl Writer {
             self.roll_back();
             return Err(e);
         }
-        if self.alone {
+        if self.without_log {
             // A journal is only beside a store without a commit: so one that a deleted store left is known for what it is.
             self.run(connection::enter_log)?;
+            self.without_log = false;
         }
         let base = SiteRow { next_chunk: self.ids.next(), next_scan: self.next_scan, ..self.site.clone() };
         let site = self.run(|c| {
@@ -325,7 +315,6 @@ impl Writer {
         })?;
         self.site = site;
         // From here on the change is made: what fails now is done by the next writer.
-        self.share();
         let removed_rows = self.remove_garbage().unwrap_or(0);
         let log_truncated = self.tidy();
         Ok(Committed { generation: self.site.site.generation, removed_rows, log_truncated })
@@ -444,7 +433,7 @@ impl Writer {
     /// Has the log written back and used from its start again, when it has grown.
     fn bound_log(&mut self) {
         let Place::File(file) = &*self.place else { return };
-        if self.alone {
+        if self.without_log {
             return;
         }
         // Waits for nobody. Done while nodes are still being encoded, it leaves little for the commit, and the next

@@ -248,14 +248,6 @@ impl Packed {
     fn records(records: Records) -> Self {
         Self(Form::Records(records))
     }
-
-    /// Records, or the batch if there are none.
-    fn into_records(self) -> Result<Records, Batch> {
-        match self.0 {
-            Form::Records(records) => Ok(records),
-            Form::Points(batch) => Err(batch),
-        }
-    }
 }
 
 /// The part of a writer's work that does not depend on what came before: batches may be packed on several threads.
@@ -297,9 +289,9 @@ pub trait PointWriter {
     ///
     /// As [`PointWriter::write`].
     fn write_packed(&mut self, packed: Packed) -> Result<(), FormatError> {
-        match packed.into_records() {
-            Err(batch) => self.write(&batch),
-            Ok(_) => Err(FormatError::Unwritable {
+        match packed.0 {
+            Form::Points(batch) => self.write(&batch),
+            Form::Records(_) => Err(FormatError::Unwritable {
                 path: PathBuf::new(),
                 reason: "was given what was packed for another writer".into(),
             }),

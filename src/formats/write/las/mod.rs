@@ -9,7 +9,7 @@ mod plan;
 
 use super::destination::Destination;
 use super::rows::{self, Slot};
-use super::{LasTarget, OutputPlan, Packed, Packer, PointWriter};
+use super::{Form, LasTarget, OutputPlan, Packed, Packer, PointWriter};
 use crate::formats::FormatError;
 use crate::points::{Attribute, Batch, Column};
 use encoder::Encoder;
@@ -249,9 +249,9 @@ impl PointWriter for LasWriter {
     }
 
     fn write_packed(&mut self, packed: Packed) -> Result<(), FormatError> {
-        match packed.into_records() {
-            Ok(records) => self.append(&records),
-            Err(batch) => self.write(&batch),
+        match packed.0 {
+            Form::Records(records) => self.append(&records),
+            Form::Points(batch) => self.write(&batch),
         }
     }
 

@@ -14,6 +14,8 @@ import pytest
 INTERRUPTED = """
     import os, signal, sys, threading, time
     import esker
+    # Started in the background by a shell, Python would ignore Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     def timed(work):
         begun = time.perf_counter()
         try:

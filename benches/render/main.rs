@@ -6,6 +6,9 @@
 
 #![allow(missing_docs)]
 
+mod frames;
+mod primitives;
+
 use esker::generate::{GenerateOptions, Kind, generate};
 use esker::geometry::{Camera, WorldBox};
 use esker::ingest::{IngestOptions, ingest};
@@ -14,6 +17,7 @@ use esker::render::{ColorDepths, ColorMode, ColorOptions, Coloring, GpuPool, Ren
 use esker::store::{Snapshot, Store};
 use esker::stream::gpu::{BLOCK_POINTS, BlockId, DrawBlock, DrawList, DrawNode, Paint, PointPool};
 use esker::stream::{self, Limits, Loaded, ScanChoice, Shown, StoreSource, Stream, set_spacings};
+use frames::Gpu;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +27,11 @@ use std::time::{Duration, Instant};
 type Error = Box<dyn std::error::Error>;
 
 const RUNS: usize = 5;
+/// To [`spread`], for times in milliseconds.
+const MILLISECONDS: u64 = 1_000_000;
 const SIZE_PX: [u32; 2] = [1280, 720];
+/// Of the frames that are drawn one after the other.
+const WINDOW_PX: [u32; 2] = [1920, 1080];
 const BUDGETS: [u64; 5] = [500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000];
 
 fn main() -> Result<(), Error> {
@@ -37,9 +45,9 @@ fn main() -> Result<(), Error> {
             path
         }
     };
-    let renderer = Renderer::new()?;
+    let (gpu, renderer) = Gpu::new()?;
     println!("{} threads, drawn by {}\n", rayon::current_num_threads(), renderer.adapter_name());
-    stages(&Store::open(&path)?, &renderer)?;
+    stages(&Store::open(&path)?, &gpu, &renderer)?;
     first_pictures(&path, &renderer)?;
     primitives::compare()
 }
@@ -48,7 +56,13 @@ fn main() -> Result<(), Error> {
 fn spread(mut times: Vec<Duration>, points: u64) -> String {
     times.sort_unstable();
     let ns = |time: Duration| time.as_nanos() as f64 / points.max(1) as f64;
-    format!("{:.1} ({:.1}-{:.1})", ns(times[times.len() / 2]), ns(times[0]), ns(times[times.len() - 1]))
+    format!("{:.1} ({:.1}-{:.1})", ns(median(&times)), ns(times[0]), ns(times[times.len() - 1]))
+}
+
+fn median(times: &[Duration]) -> Duration {
+    let mut times = times.to_vec();
+    times.sort_unstable();
+    times[times.len() / 2]
 }
 
 fn timed<T>(times: &mut Vec<Duration>, work: impl FnOnce() -> T) -> T {
@@ -77,7 +91,7 @@ fn limits(points: u64) -> Limits {
 }
 
 /// The stream's own stages, one after the other.
-fn stages(store: &Store, renderer: &Renderer) -> Result<(), Error> {
+fn stages(store: &Store, gpu: &Gpu, renderer: &Renderer) -> Result<(), Error> {
     let snapshot = store.snapshot()?;
     let camera = Camera::looking_at_all(&bounds(&snapshot)?, SIZE_PX)?;
     let coloring = coloring(&snapshot)?;
@@ -88,9 +102,10 @@ fn stages(store: &Store, renderer: &Renderer) -> Result<(), Error> {
         "| points | select | load: read, decode, pack | of it reading, by core | of it decoding, by core | upload | draw | load, M points/s |"
     );
     println!("|---|---|---|---|---|---|---|---|");
+    let mut frames = String::new();
     for budget in BUDGETS {
         let [mut select, mut load, mut read, mut decode, mut upload, mut draw] = [const { Vec::new() }; 6];
-        let mut points = 0;
+        let (mut points, mut drawn) = (0, None);
         for _ in 0..RUNS {
             let blocks = limits(budget).blocks(BLOCK_POINTS) / 2;
             let view = stream::View {
@@ -119,9 +134,16 @@ fn stages(store: &Store, renderer: &Renderer) -> Result<(), Error> {
             let mut canvas = renderer.canvas(false);
             let view = View { camera: &camera, options: &RenderOptions::default(), palette: &coloring.palette };
             timed(&mut draw, || renderer.render_list(&mut canvas, &pool.points(), &list, view))?;
+            drawn = Some((pool, list));
         }
-        load.sort_unstable();
-        let each = points as f64 / load[RUNS / 2].as_secs_f64() / 1e6;
+        if let Some((pool, list)) = drawn {
+            let camera = camera.clone().with_size(WINDOW_PX)?;
+            let [whole, encoding] = gpu.frames(renderer, &pool.points(), &list, &camera, &coloring.palette)?;
+            let rate = 1.0 / median(&whole).as_secs_f64();
+            let (whole, encoding) = (spread(whole, MILLISECONDS), spread(encoding, MILLISECONDS));
+            frames += &format!("| {points} | {} | {whole} | {encoding} | {rate:.0} |\n", list.blocks.len());
+        }
+        let each = points as f64 / median(&load).as_secs_f64() / 1e6;
         println!(
             "| {points} | {} | {} | {} | {} | {} | {} | {each:.0} |",
             spread(select, points),
@@ -135,6 +157,9 @@ fn stages(store: &Store, renderer: &Renderer) -> Result<(), Error> {
             break;
         }
     }
+    let [width, height] = WINDOW_PX;
+    println!("\n| points | blocks | frame of {width} x {height}, ms | of it this thread, ms | frames a second |");
+    println!("|---|---|---|---|---|\n{frames}");
     Ok(())
 }
 
@@ -170,7 +195,7 @@ fn first_pictures(path: &Path, renderer: &Renderer) -> Result<(), Error> {
             let status = stream.status();
             (points, uploaded, pool_bytes) = (status.points, status.uploaded_bytes, status.pool_bytes);
         }
-        let ms = |times: Vec<Duration>| spread(times, 1_000_000);
+        let ms = |times: Vec<Duration>| spread(times, MILLISECONDS);
         println!(
             "| {points} | {} | {first_points} | {} | {uploaded} | {:.0} MB |",
             ms(first),
@@ -222,166 +247,4 @@ fn uploaded(
     }
     set_spacings(&mut list, counted);
     Ok(list)
-}
-
-/// The same discs as three kinds of primitives.
-mod primitives {
-    use super::{Error, RUNS, SIZE_PX, spread, timed};
-
-    const POINTS: u32 = 1 << 20;
-
-    const WGSL: &str = "
-        struct Disc { @builtin(position) at: vec4<f32>, @location(0) @interpolate(flat) center: vec2<f32> }
-        @group(0) @binding(0) var<storage, read> points: array<vec4<f32>>;
-        override radius: f32 = 1.0;
-        const SIZE = vec2<f32>(1280.0, 720.0);
-        fn disc(index: u32, corner: vec2<f32>) -> Disc {
-            let point = points[index];
-            let px = point.xy + radius * corner;
-            return Disc(vec4<f32>(px / SIZE * 2.0 - 1.0, point.z, 1.0), vec2<f32>(point.x, SIZE.y - point.y));
-        }
-        @vertex fn triangle(@builtin(vertex_index) i: u32) -> Disc {
-            var corner = vec2<f32>(0.0, 2.0);
-            if (i % 3u == 1u) { corner = vec2<f32>(-1.7320508, -1.0); }
-            else if (i % 3u == 2u) { corner = vec2<f32>(1.7320508, -1.0); }
-            return disc(i / 3u, corner);
-        }
-        @vertex fn quad(@builtin(vertex_index) i: u32) -> Disc {
-            let k = i % 6u;
-            let x = select(-1.0, 1.0, k == 1u || k == 2u || k == 4u);
-            let y = select(-1.0, 1.0, k == 2u || k == 4u || k == 5u);
-            return disc(i / 6u, vec2<f32>(x, y));
-        }
-        @vertex fn strip(@builtin(vertex_index) k: u32, @builtin(instance_index) i: u32) -> Disc {
-            return disc(i, vec2<f32>(select(-1.0, 1.0, (k & 1u) == 1u), select(-1.0, 1.0, (k & 2u) == 2u)));
-        }
-        @vertex fn point(@builtin(vertex_index) i: u32) -> Disc { return disc(i, vec2<f32>(0.0)); }
-        @fragment fn round(d: Disc) -> @location(0) vec4<f32> {
-            let away = d.at.xy - d.center;
-            if (dot(away, away) > radius * radius) { discard; }
-            return vec4<f32>(1.0);
-        }
-        @fragment fn whole(d: Disc) -> @location(0) vec4<f32> { return vec4<f32>(1.0); }
-    ";
-
-    pub fn compare() -> Result<(), Error> {
-        let instance = wgpu::Instance::default();
-        let adapter = pollster::block_on(instance.request_adapter(&Default::default()))?;
-        let (device, queue) = pollster::block_on(adapter.request_device(&Default::default()))?;
-        let buffer = device.create_buffer(&wgpu::BufferDescriptor {
-            label: None,
-            size: u64::from(POINTS) * 16,
-            usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        // Anywhere on the image, at any depth: a Weyl sequence in three dimensions.
-        let along = |i: u32, factor: f64| (f64::from(i) * factor).fract() as f32;
-        let points: Vec<[f32; 4]> = (0..POINTS)
-            .map(|i| {
-                let at = [along(i, 0.819_172_513_396_164_4), along(i, 0.671_043_606_703_789_2)];
-                [at[0] * SIZE_PX[0] as f32, at[1] * SIZE_PX[1] as f32, along(i, 0.549_700_477_901_911_8), 0.0]
-            })
-            .collect();
-        queue.write_buffer(&buffer, 0, bytemuck::cast_slice(&points));
-        let texture = |format| {
-            let texture = device.create_texture(&wgpu::TextureDescriptor {
-                label: None,
-                size: wgpu::Extent3d { width: SIZE_PX[0], height: SIZE_PX[1], depth_or_array_layers: 1 },
-                mip_level_count: 1,
-                sample_count: 1,
-                dimension: wgpu::TextureDimension::D2,
-                format,
-                usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
-                view_formats: &[],
-            });
-            texture.create_view(&Default::default())
-        };
-        let (colors, depths) = (texture(wgpu::TextureFormat::Rgba8Unorm), texture(wgpu::TextureFormat::Depth32Float));
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: None,
-            source: wgpu::ShaderSource::Wgsl(WGSL.into()),
-        });
-        println!("\n| discs of radius | triangle | quad, 6 vertices | quad, strip of 4 | point primitive (1 pixel) |");
-        println!("|---|---|---|---|---|");
-        for radius in [0.75, 1.5, 3.0, 6.0] {
-            print!("| {radius} px |");
-            let (list, strip) = (wgpu::PrimitiveTopology::TriangleList, wgpu::PrimitiveTopology::TriangleStrip);
-            let kinds = [
-                ("triangle", "round", list, 3 * POINTS, 1),
-                ("quad", "round", list, 6 * POINTS, 1),
-                ("strip", "round", strip, 4, POINTS),
-                ("point", "whole", wgpu::PrimitiveTopology::PointList, POINTS, 1),
-            ];
-            for (vertex, fragment, topology, vertices, instances) in kinds {
-                let constants = [("radius", radius)];
-                let compilation_options =
-                    wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
-                let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-                    label: None,
-                    layout: None,
-                    vertex: wgpu::VertexState {
-                        module: &module,
-                        entry_point: Some(vertex),
-                        compilation_options: compilation_options.clone(),
-                        buffers: &[],
-                    },
-                    primitive: wgpu::PrimitiveState { topology, ..Default::default() },
-                    depth_stencil: Some(wgpu::DepthStencilState {
-                        format: wgpu::TextureFormat::Depth32Float,
-                        depth_write_enabled: Some(true),
-                        depth_compare: Some(wgpu::CompareFunction::Greater),
-                        stencil: Default::default(),
-                        bias: Default::default(),
-                    }),
-                    multisample: Default::default(),
-                    fragment: Some(wgpu::FragmentState {
-                        module: &module,
-                        entry_point: Some(fragment),
-                        compilation_options,
-                        targets: &[Some(wgpu::TextureFormat::Rgba8Unorm.into())],
-                    }),
-                    multiview_mask: None,
-                    cache: None,
-                });
-                let entries = [wgpu::BindGroupEntry { binding: 0, resource: buffer.as_entire_binding() }];
-                let layout = &pipeline.get_bind_group_layout(0);
-                let group =
-                    device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries });
-                let mut times = Vec::new();
-                for _ in 0..RUNS {
-                    let mut encoder = device.create_command_encoder(&Default::default());
-                    {
-                        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                                view: &colors,
-                                depth_slice: None,
-                                resolve_target: None,
-                                ops: Default::default(),
-                            })],
-                            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                                view: &depths,
-                                depth_ops: Some(wgpu::Operations {
-                                    load: wgpu::LoadOp::Clear(0.0),
-                                    store: wgpu::StoreOp::Store,
-                                }),
-                                stencil_ops: None,
-                            }),
-                            ..Default::default()
-                        });
-                        pass.set_pipeline(&pipeline);
-                        pass.set_bind_group(0, &group, &[]);
-                        pass.draw(0..vertices, 0..instances);
-                    }
-                    timed(&mut times, || -> Result<(), Error> {
-                        queue.submit([encoder.finish()]);
-                        device.poll(wgpu::PollType::wait_indefinitely())?;
-                        Ok(())
-                    })?;
-                }
-                print!(" {} |", spread(times, POINTS.into()));
-            }
-            println!();
-        }
-        Ok(())
-    }
 }

@@ -84,7 +84,9 @@ impl Frame {
             front: near,
             depth_scale: 1.0,
             min_radius_px: options.min_radius_px,
-            max_radius_px: options.min_radius_px.max(options.max_radius_of_height * height),
+            max_radius_px: (options.max_radius_of_height * height)
+                .min(options.max_radius_px)
+                .max(options.min_radius_px),
             edl_strength: options.edl.map_or(0.0, |edl| edl.strength),
             edl_radius_px: options.edl.map_or(1.0, |edl| edl.radius_px),
             clips: clips.collect(),

@@ -111,6 +111,8 @@ pub struct RenderOptions {
     /// The greatest radius of a splat, relative to the height of the image: a point right before the eye does not hide
     /// all others.
     pub max_radius_of_height: f64,
+    /// Neither above this, in pixels; infinite: only the image says.
+    pub max_radius_px: f64,
     /// Shading; `None` shows the colours as they are.
     pub edl: Option<Edl>,
     /// Haze; `None`: the air is clear.
@@ -133,6 +135,7 @@ impl Default for RenderOptions {
             radius_factor: 0.75,
             min_radius_px: 0.5,
             max_radius_of_height: 0.05,
+            max_radius_px: f64::INFINITY,
             edl: Some(Edl::default()),
             fog: None,
             shadow_px: 0.0,
@@ -156,6 +159,7 @@ impl RenderOptions {
             ("the splats' radius factor", self.radius_factor, 0.0, 1e6, "from 0 to 1e6"),
             ("the least radius of a splat", self.min_radius_px, 0.5, 1e4, "from 0.5 to 1e4 pixels"),
             ("the greatest radius of a splat", self.max_radius_of_height, 0.0, 1.0, "from 0 to 1 image heights"),
+            ("the greatest radius of a splat", self.max_radius_px, 0.5, f64::INFINITY, "from 0.5 pixels"),
             ("the strength of eye-dome lighting", f64::from(edl.strength), 0.0, 1e6, "from 0 to 1e6"),
             ("the radius of eye-dome lighting", f64::from(edl.radius_px), 1.0, 1e3, "from 1 to 1000 pixels"),
             ("the start of the fog", fog.start, 0.0, 1e15, "from 0 to 1e15"),

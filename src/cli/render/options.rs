@@ -18,6 +18,9 @@ pub(super) struct Look {
     /// Least diameter of a splat (default: 1).
     #[arg(long, value_name = "PX", value_parser = values::positive)]
     min_px: Option<f64>,
+    /// Greatest diameter of a splat, for single points and those right before the eye (default: a tenth of the height).
+    #[arg(long, value_name = "PX", value_parser = values::positive)]
+    max_px: Option<f64>,
     /// Flat colours, without eye-dome lighting.
     #[arg(long, conflicts_with = "edl")]
     unlit: bool,
@@ -77,6 +80,7 @@ impl Look {
             shape: self.shape,
             radius_factor: self.point_size.unwrap_or(base.radius_factor),
             min_radius_px: self.min_px.map_or(base.min_radius_px, |px| px / 2.0),
+            max_radius_px: self.max_px.map_or(base.max_radius_px, |px| px / 2.0),
             edl: if self.unlit { None } else { edl },
             fog: self.fog,
             shadow_px: self.shadows,

@@ -99,6 +99,19 @@ impl Count {
         self.node.add(&std::mem::take(&mut self.octant));
     }
 
+    /// Where a pair is counted whose points lie in these fine cubes; cubes that are left behind are ended.
+    fn between(&mut self, before: usize, after: usize) -> &mut Pairs {
+        if before == after {
+            return &mut self.fine;
+        }
+        self.end_fine(before);
+        if before >> 3 == after >> 3 {
+            return &mut self.octant;
+        }
+        self.end_octant();
+        &mut self.node
+    }
+
     fn end(mut self) -> Densities {
         if let Some(density) = self.node.density() {
             self.left_to_node.iter().for_each(|&at| self.densities.0[at] = density);
@@ -110,32 +123,28 @@ impl Count {
 impl Densities {
     /// Of points in `cube`, given in key order.
     pub fn of(cube: Cube, positions: &Positions) -> Self {
+        let Some(first) = positions.iter().next() else { return Self::default() };
+        // Neighbours that differ in no higher bit lie in one of the fine cubes.
+        let fine_bits = u32::from(cube.k().saturating_sub(2));
         let mut count = Count::default();
-        let mut last: Option<([u64; 3], usize)> = None;
-        for ((&x, &y), &z) in positions.x.iter().zip(&positions.y).zip(&positions.z) {
-            let at = fine_place(cube, LatticePoint([x, y, z]));
-            if let Some(([px, py, pz], before)) = last {
-                let differing = u64::BITS - ((x ^ px) | (y ^ py) | (z ^ pz)).leading_zeros();
-                let pairs = if at == before {
-                    &mut count.fine
-                } else {
-                    count.end_fine(before);
-                    if at >> 3 == before >> 3 {
-                        &mut count.octant
-                    } else {
-                        count.end_octant();
-                        &mut count.node
-                    }
-                };
-                pairs.by_bits[(differing as usize).min(usize::from(BITS))] += 1;
-            }
+        let mut at = fine_place(cube, first);
+        count.fine.points = 1;
+        for i in 1..positions.len() {
+            let differ = |c: &[u64]| c[i] ^ c[i - 1];
+            let differing = differ(&positions.x) | differ(&positions.y) | differ(&positions.z);
+            let bits = (u64::BITS - differing.leading_zeros()).min(u32::from(BITS));
+            let pairs = if bits <= fine_bits {
+                &mut count.fine
+            } else {
+                let before = at;
+                at = fine_place(cube, LatticePoint([positions.x[i], positions.y[i], positions.z[i]]));
+                count.between(before, at)
+            };
+            pairs.by_bits[bits as usize] += 1;
             count.fine.points += 1;
-            last = Some(([x, y, z], at));
         }
-        if let Some((_, at)) = last {
-            count.end_fine(at);
-            count.end_octant();
-        }
+        count.end_fine(at);
+        count.end_octant();
         count.end()
     }
 
@@ -219,6 +228,8 @@ mod tests {
     use super::super::gpu::DrawNode;
     use super::*;
     use crate::lattice::{Key, Lattice};
+    use proptest::prelude::*;
+    use std::collections::HashSet;
 
     fn positions(mut points: Vec<[u64; 3]>) -> Positions {
         points.sort_by_key(|p| Key::of(LatticePoint(*p)));
@@ -304,5 +315,50 @@ mod tests {
         }
         let empty = Densities::of(Cube::containing(LatticePoint([9; 3]), 7), &positions(vec![[9; 3], [10; 3]]));
         assert_eq!(empty, Densities::default(), "two points say nothing");
+    }
+
+    /// As [`Pairs::density`], from the cells themselves.
+    fn density_of(points: &[[u64; 3]]) -> Option<f32> {
+        let cells = |bits: u32| points.iter().map(|p| p.map(|c| c >> bits)).collect::<HashSet<_>>().len() as u32;
+        let enough = |bits: &u32| points.len() as u32 >= POINTS_OF_A_CELL * cells(*bits);
+        let bits = (0..=u32::from(BITS)).find(enough)?;
+        let through = (cells(bits) as f32 / (4 * cells(bits + 1)) as f32).clamp(1.0, 2.0);
+        Some(points.len() as f32 / (cells(bits) as f32 * 4_f32.powi(bits as i32)) * through.powf(1.2))
+    }
+
+    proptest! {
+        #[test]
+        fn densities_are_those_of_occupied_cells(
+            k in 0..14_u8,
+            clusters in prop::collection::vec((any::<[u64; 3]>(), 0..14_u32, 1..90_usize), 1..9),
+            seed in any::<u64>(),
+        ) {
+            let cube = Cube::containing(LatticePoint([0x1234_5678_9abc; 3]), k);
+            let low = cube.low().0;
+            let mut random = seed;
+            let mut next = || {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                random >> 20
+            };
+            let mut points = Vec::new();
+            for (at, wide, count) in clusters {
+                points.extend((0..count).map(|_| {
+                    std::array::from_fn(|i| low[i] + (at[i].wrapping_add(next() & ((1 << wide) - 1)) & ((1 << k) - 1)))
+                }));
+            }
+            let found = Densities::of(cube, &positions(points.clone()));
+            let inside = |shift: u32, place: usize| -> Vec<[u64; 3]> {
+                let there = |p: &&[u64; 3]| fine_place(cube, LatticePoint(**p)) >> shift == place;
+                points.iter().filter(there).copied().collect()
+            };
+            for fine in 0..FINE {
+                // Itself if it has enough points, else its octant, else its node, which may have few.
+                let near = [inside(0, fine), inside(3, fine >> 3)].into_iter();
+                let near = near.map(|p| if p.len() < LEAST_POINTS as usize { None } else { density_of(&p) });
+                let expected = near.flatten().next().or_else(|| density_of(&points)).unwrap_or(0.0);
+                let expected = if inside(0, fine).is_empty() { 0.0 } else { expected };
+                prop_assert!((found.0[fine] - expected).abs() <= 1e-4 * expected, "{fine}: {} {expected}", found.0[fine]);
+            }
+        }
     }
 }

@@ -209,10 +209,11 @@ pub(super) fn read(
     if way == Way::Bytes as u8 {
         streams.read(&mut reader, count, bytes)?;
         reader.end("bytes after the residuals")?;
+        add_expected_bytes(bytes, leaders, rates);
         let mut number = 0_u8;
         out.clear();
-        out.extend(bytes.iter().zip(steps(leaders)).map(|(residual, step)| {
-            number = number.wrapping_add(unzigzag_byte(*residual)).wrapping_add(expected(rates, step) as u8);
+        out.extend(bytes.iter().map(|more| {
+            number = number.wrapping_add(*more);
             u64::from(number)
         }));
     } else if way == Way::Wide as u8 {
@@ -226,6 +227,23 @@ pub(super) fn read(
         return Err(CodecError::Range { place: WAY, found: way.into(), limit: Way::Wide as u64 });
     }
     Ok(())
+}
+
+/// Residuals as bytes to what each number is more than the one before it, modulo 256. Apart from their sum, so that the
+/// compiler takes several at a time; of [`expected`] only 32 bits matter.
+fn add_expected_bytes(bytes: &mut [u8], [a, b]: [&[u16]; MAX_LEADERS], rates: [i64; MAX_LEADERS]) {
+    let [rate_a, rate_b] = rates.map(|rate| rate as u32);
+    let more = |residual: &mut u8, a: u32, b: u32| {
+        let expected =
+            rate_a.wrapping_mul(a).wrapping_add(rate_b.wrapping_mul(b)).wrapping_add(HALF as u32) >> RATE_BITS;
+        *residual = unzigzag_byte(*residual).wrapping_add(expected as u8);
+    };
+    let Some((first, later)) = bytes.split_first_mut() else { return };
+    let (Some((&a0, a_later)), Some((&b0, b_later))) = (a.split_first(), b.split_first()) else { return };
+    more(first, a0.into(), b0.into());
+    let steps_a = a.iter().zip(a_later).map(|(before, now)| u32::from(*now).wrapping_sub((*before).into()));
+    let steps_b = b.iter().zip(b_later).map(|(before, now)| u32::from(*now).wrapping_sub((*before).into()));
+    later.iter_mut().zip(steps_a.zip(steps_b)).for_each(|(residual, (a, b))| more(residual, a, b));
 }
 
 #[cfg(test)]

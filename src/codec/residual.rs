@@ -54,6 +54,14 @@ fn join(symbol: u8, mantissa: u32) -> (u64, u32) {
     ((implied | symbol & ((1 << mantissa) - 1)) << tail, tail)
 }
 
+/// A value with its open bits, which begin at bit `at`.
+#[inline]
+fn with_tail((base, tail): (u64, u32), bits: &[u8], at: &mut usize, bits_at: impl Fn(&[u8], usize, u32) -> u64) -> u64 {
+    let value = base | bits_at(bits, *at, tail);
+    *at += tail as usize;
+    value
+}
+
 /// The largest `m` for which all values of `bits` bits have a symbol of one byte.
 pub(super) fn finest_mantissa(bits: u32) -> u32 {
     (0..=MAX_MANTISSA).rev().find(|m| (bits.saturating_sub(*m) + 1) << m <= 256).unwrap_or(0)
@@ -234,7 +242,13 @@ fn unsplit(
     out.clear();
     let largest = symbols.iter().copied().max().unwrap_or(0);
     let widest = tail_checked(largest, mantissa, max_bits)?;
-    let open: u64 = if widest == 0 { 0 } else { symbols.iter().map(|s| u64::from(join(*s, mantissa).1)).sum() };
+    // What each symbol stands for, once for the block.
+    let mut joined = [(0, 0); 256];
+    for (symbol, joined) in (0..=largest).zip(&mut joined) {
+        *joined = join(symbol, mantissa);
+    }
+    let join = |symbol: u8| joined[usize::from(symbol)];
+    let open: u64 = if widest == 0 { 0 } else { symbols.iter().map(|s| u64::from(join(*s).1)).sum() };
     // At most 64 bits for each of a block's values.
     let expected = open.div_ceil(8) as usize;
     if bits.len() != expected {
@@ -247,19 +261,9 @@ fn unsplit(
     }
     let mut at = 0;
     if widest <= MAX_BITS {
-        out.extend(symbols.iter().map(|s| {
-            let (base, tail) = join(*s, mantissa);
-            let value = base | bits_at(bits, at, tail);
-            at += tail as usize;
-            value
-        }));
+        out.extend(symbols.iter().map(|s| with_tail(join(*s), bits, &mut at, bits_at)));
     } else {
-        out.extend(symbols.iter().map(|s| {
-            let (base, tail) = join(*s, mantissa);
-            let value = base | wide_bits_at(bits, at, tail);
-            at += tail as usize;
-            value
-        }));
+        out.extend(symbols.iter().map(|s| with_tail(join(*s), bits, &mut at, wide_bits_at)));
     }
     Ok(())
 }

@@ -263,11 +263,12 @@ fn every_option_of_the_look_changes_the_picture() {
         picture
     };
     let plain = draw("plain", &[]);
-    let looks: [&[&str]; 13] = [
+    let looks: [&[&str]; 14] = [
         &["--shape", "square", "--point-size", "2"],
         &["--shape", "paraboloid", "--point-size", "2"],
         &["--point-size", "2"],
         &["--min-px", "6"],
+        &["--max-px", "1.5"],
         &["--unlit"],
         &["--edl", "4"],
         &["--shadows", "2", "--point-size", "2"],

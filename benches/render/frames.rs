@@ -19,12 +19,7 @@ pub struct Gpu {
 impl Gpu {
     /// With a renderer on it.
     pub fn new() -> Result<(Self, Renderer), Error> {
-        let instance = wgpu::Instance::default();
-        let options = wgpu::RequestAdapterOptions {
-            power_preference: wgpu::PowerPreference::HighPerformance,
-            ..Default::default()
-        };
-        let adapter = pollster::block_on(instance.request_adapter(&options))?;
+        let adapter = esker::render::adapter(&esker::render::instance(), None)?;
         let (device, queue) = pollster::block_on(
             adapter.request_device(&wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..Default::default() }),
         )?;

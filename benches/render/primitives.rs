@@ -39,8 +39,7 @@ const WGSL: &str = "
 ";
 
 pub fn compare() -> Result<(), Error> {
-    let instance = wgpu::Instance::default();
-    let adapter = pollster::block_on(instance.request_adapter(&Default::default()))?;
+    let adapter = esker::render::adapter(&esker::render::instance(), None)?;
     let (device, queue) = pollster::block_on(adapter.request_device(&Default::default()))?;
     let buffer = device.create_buffer(&wgpu::BufferDescriptor {
         label: None,

@@ -13,6 +13,14 @@ pub enum RenderError {
          mesa-vulkan-drivers` (Debian, Ubuntu), `dnf install mesa-vulkan-drivers` (Fedora)"
     )]
     NoAdapter(#[source] wgpu::RequestAdapterError),
+    /// None is called so.
+    #[error("no graphics adapter has {name:?} in its name (WGPU_ADAPTER_NAME); there are: {known}")]
+    UnknownAdapter {
+        /// What the environment says.
+        name: String,
+        /// Those that are there.
+        known: String,
+    },
     /// The adapter refused or failed.
     #[error("graphics adapter {adapter}: {reason}")]
     Device {

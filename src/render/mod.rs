@@ -38,6 +38,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod adapter;
 mod canvas;
 mod clip;
 mod color;
@@ -60,6 +61,7 @@ pub mod reference;
 mod renderer;
 mod scene;
 
+pub use adapter::{adapter, instance};
 pub use canvas::Canvas;
 pub use clip::{ClipBox, MAX_CLIPS};
 pub use color::{

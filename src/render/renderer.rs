@@ -9,7 +9,7 @@ use super::pack::{Page, for_each_page};
 use super::passes::{COLOR_FORMAT, Passes, PointsVariant};
 use super::pick::PickRequest;
 use super::pool::{GpuPool, PoolPoints, SLAB_BYTES};
-use super::{Image, Palette, Picked, RenderError, RenderOptions, Scene, Shape, read_back};
+use super::{Image, Palette, Picked, RenderError, RenderOptions, Scene, Shape, adapter, read_back};
 use crate::geometry::Camera;
 use crate::stream::gpu::{DrawList, PackedPoint, PointPool};
 use std::sync::PoisonError;
@@ -47,18 +47,13 @@ impl std::fmt::Debug for Renderer {
 }
 
 impl Renderer {
-    /// A renderer on the machine's fastest adapter: a graphics card if there is one, else software.
+    /// A renderer on the machine's fastest adapter, or the one that the environment names: see [`adapter()`](super::adapter()).
     ///
     /// # Errors
     ///
-    /// [`RenderError::NoAdapter`] if there is none at all; [`RenderError::Device`] if it can't be used.
+    /// As [`adapter()`](super::adapter()); [`RenderError::Device`] if it can't be used.
     pub fn new() -> Result<Self, RenderError> {
-        let instance = wgpu::Instance::default();
-        let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
-            power_preference: wgpu::PowerPreference::HighPerformance,
-            ..Default::default()
-        }))
-        .map_err(RenderError::NoAdapter)?;
+        let adapter = adapter::adapter(&adapter::instance(), None)?;
         let info = adapter.get_info();
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("esker"),
@@ -66,7 +61,7 @@ impl Renderer {
             memory_hints: wgpu::MemoryHints::MemoryUsage,
             ..Default::default()
         }))
-        .map_err(|e| RenderError::Device { adapter: adapter_name(&info), reason: e.to_string() })?;
+        .map_err(|e| RenderError::Device { adapter: adapter::described(&info), reason: e.to_string() })?;
         Self::on_device(device, queue, &info, COLOR_FORMAT)
     }
 
@@ -82,7 +77,7 @@ impl Renderer {
         adapter: &wgpu::AdapterInfo,
         output: wgpu::TextureFormat,
     ) -> Result<Self, RenderError> {
-        let adapter = adapter_name(adapter);
+        let adapter = adapter::described(adapter);
         let limits = device.limits();
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
         let passes = Passes::new(&device, output);
@@ -350,10 +345,6 @@ impl Renderer {
     fn wait(&self) -> Result<(), RenderError> {
         self.device.poll(wgpu::PollType::wait_indefinitely()).map(|_| ()).map_err(|e| self.failed(e))
     }
-}
-
-fn adapter_name(info: &wgpu::AdapterInfo) -> String {
-    format!("{} ({:?}, {:?})", info.name, info.backend, info.device_type)
 }
 
 /// Must fragments decide the depth?

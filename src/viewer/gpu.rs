@@ -74,16 +74,11 @@ impl Gpu {
     ///
     /// [`ViewerError`] if no adapter can draw into the window.
     pub fn new(window: Arc<Window>, limits: &Limits) -> Result<(Self, Box<dyn PointPool>), ViewerError> {
-        let instance = wgpu::Instance::default();
+        let instance = crate::render::instance();
         let failed = |what: &str, e: &dyn std::fmt::Display| ViewerError::Graphics(format!("{what}: {e}"));
         let surface =
             instance.create_surface(window.clone()).map_err(|e| failed("the window can't be drawn into", &e))?;
-        let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
-            power_preference: wgpu::PowerPreference::HighPerformance,
-            compatible_surface: Some(&surface),
-            ..Default::default()
-        }))
-        .map_err(crate::render::RenderError::NoAdapter)?;
+        let adapter = crate::render::adapter(&instance, Some(&surface))?;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("esker viewer"),
             required_limits: adapter.limits(),

@@ -5,6 +5,7 @@ use crate::support::{esker_fails, esker_ok};
 use std::fmt::Write;
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 fn pixels(path: &str) -> (u32, u32, Vec<u8>) {
     let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap()));
@@ -297,4 +298,29 @@ fn every_option_of_the_look_changes_the_picture() {
     let (_, _, clear) = pixels(&draw("clear", &["--background", "none"]));
     assert_eq!(clear.len(), 240 * 160 * 4);
     assert!(clear.chunks_exact(4).any(|p| p[3] == 0) && clear.chunks_exact(4).any(|p| p[3] == 255));
+}
+
+/// The environment may name the adapter, as for other programs on wgpu; a name that none has is no reason to draw elsewhere.
+#[test]
+fn an_adapter_may_be_asked_for_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    write_ground(&folder.path().join("g.ply"), [10; 3]);
+    esker_ok(&["ingest", &path("g.esker"), &path("g.ply")]);
+    let draw = |adapter: &str| {
+        let arguments = ["render", &path("g.esker"), "--size", "64x48", "--force", "-o", &path("g.png")];
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_esker")).args(arguments).env("WGPU_ADAPTER_NAME", adapter).output();
+        let output = output.unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap() + &String::from_utf8(output.stdout).unwrap())
+    };
+    let (code, said) = draw("no such card");
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("no graphics adapter has \"no such card\" in its name"), "{said}");
+    assert!(!Path::new(&path("g.png")).exists());
+    let (_, known) = said.split_once("there are: ").unwrap();
+    let known = known.lines().next().unwrap().split(", ").next().unwrap();
+    let (code, said) = draw(&known.to_uppercase());
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains(&format!("drawn by {known}")), "{said}");
 }

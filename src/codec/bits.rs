@@ -73,6 +73,23 @@ pub(super) fn wide_bits_at(bytes: &[u8], at: usize, bits: u32) -> u64 {
     if bits > 32 { bits_at(bytes, at, 32) | bits_at(bytes, at + 32, bits - 32) << 32 } else { bits_at(bytes, at, bits) }
 }
 
+/// The same as [`bits_at`] for bytes that may end before: what is not there is zeros.
+#[inline]
+pub(super) fn bits_or_zeros(bytes: &[u8], at: usize, bits: u32) -> u64 {
+    let word = bytes.get(at / 8..).and_then(|rest| rest.first_chunk()).map_or(0, |word| u64::from_le_bytes(*word));
+    word >> (at % 8) & ((1 << bits) - 1)
+}
+
+/// The same for up to 64 bits.
+#[inline]
+pub(super) fn wide_bits_or_zeros(bytes: &[u8], at: usize, bits: u32) -> u64 {
+    if bits > 32 {
+        bits_or_zeros(bytes, at, 32) | bits_or_zeros(bytes, at + 32, bits - 32) << 32
+    } else {
+        bits_or_zeros(bytes, at, bits)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -93,7 +110,12 @@ mod tests {
             let mut at = 0;
             for &(value, bits) in &numbers {
                 prop_assert_eq!(wide_bits_at(&bytes, at, bits), cut(value, bits));
+                prop_assert_eq!(wide_bits_or_zeros(&bytes, at, bits), cut(value, bits));
                 at += bits as usize;
+            }
+            // Seven bytes are no word, and nor are none.
+            for end in [8 * bytes.len() - 56, 8 * bytes.len() + 99] {
+                prop_assert_eq!(wide_bits_or_zeros(&bytes, end, 64), 0);
             }
         }
     }

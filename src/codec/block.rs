@@ -3,10 +3,10 @@
 //! The first byte says how the rest is to be read: [`Kind`]. All but the first two kinds store
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
-use super::dictionary;
+use super::dictionary::{self, MAX_VALUES};
 use super::joint::{self, Leaders};
 use super::lines;
-use super::numbers::{self, Numbers};
+use super::numbers::{self, Numbers, largest_above};
 use super::passes::{BesideBlock, BlockPasses};
 use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
@@ -353,19 +353,26 @@ pub(super) fn read_block<T: Value>(
     let most = u64::MAX >> (64 - 8 * width);
     // What `n` may be: nothing if the step itself is out of range.
     let limit = (most - least).checked_div(step).unwrap_or(0);
-    let value = |n: u64| T::from_ordered(least + step * n);
-    if kind == Kind::Numbers {
-        let Decoder { streams, bytes, wide, .. } = decoder;
-        match numbers::read(streams, reader, count, limit, bytes, wide)? {
-            Numbers::Bytes(numbers) => out.extend(numbers.iter().map(|n| value(u64::from(*n)))),
-            Numbers::Wide(numbers) => out.extend(numbers.iter().map(|n| value(*n))),
-        }
-        return Ok(());
-    }
+    let check = |numbers: &[u64]| {
+        let found = largest_above(numbers, limit);
+        if found > limit { Err(CodecError::Range { place: "value", found, limit }) } else { Ok(()) }
+    };
     match kind {
+        Kind::Numbers => {
+            let Decoder { streams, bytes, wide, .. } = decoder;
+            match numbers::read(streams, reader, count, limit, bytes, wide)? {
+                Numbers::Bytes(numbers) => T::append_stepped(numbers, least, step, out),
+                Numbers::Wide(numbers) => T::append_stepped(numbers, least, step, out),
+            }
+            return Ok(());
+        }
         Kind::Dictionary => {
-            let Decoder { streams, bytes, values, .. } = decoder;
-            dictionary::read(streams, reader, bytes, count, leaders[0], values)?;
+            let Decoder { streams, bytes: indices, .. } = decoder;
+            let table = dictionary::read(streams, reader, count, leaders[0], indices)?;
+            check(&table)?;
+            let table = table.map(|n| T::from_ordered(least + step * n));
+            out.extend(indices.iter().map(|index| table[usize::from(*index) % MAX_VALUES]));
+            return Ok(());
         }
         Kind::Ranked => ranked::read(decoder, reader, count)?,
         Kind::Joint => {
@@ -386,11 +393,8 @@ pub(super) fn read_block<T: Value>(
             }
         }
     }
-    let found = decoder.values.iter().copied().max().unwrap_or(0);
-    if found > limit {
-        return Err(CodecError::Range { place: "value", found, limit });
-    }
-    out.extend(decoder.values.iter().map(|n| value(*n)));
+    check(&decoder.values)?;
+    T::append_stepped(&decoder.values, least, step, out);
     Ok(())
 }
 

@@ -43,7 +43,7 @@ fn fill_contexts(indices: &[u8], values: usize, followed: Option<&[u16]>, contex
 }
 
 /// The most values of a table.
-const MAX_VALUES: usize = 16;
+pub(super) const MAX_VALUES: usize = 16;
 
 /// The different values of a block, ascending.
 pub(super) type Table = Vec<u64>;
@@ -63,9 +63,11 @@ pub(super) fn build_bytes(values: &[u8], indices: &mut Vec<u8>) -> Option<Table>
     let mut there = [[0_u8; 256]; 2];
     let (first, rest) = values.split_at(values.len().min(256));
     for values in [first, rest] {
-        for pair in values.chunks(2) {
+        let (pairs, last) = values.as_chunks::<2>();
+        for pair in pairs {
             there.iter_mut().zip(pair).for_each(|(there, value)| there[usize::from(*value)] = 1);
         }
+        last.iter().for_each(|value| there[0][usize::from(*value)] = 1);
         // Most have too many soon.
         if there[0].iter().zip(&there[1]).map(|(a, b)| usize::from(a | b)).sum::<usize>() > MAX_VALUES {
             return None;
@@ -177,59 +179,64 @@ pub(super) fn put_indices(
     streams.put(indices, out);
 }
 
-/// The reverse of [`put_indices`], for `count` indices: gives `each` of them, in order, and what fills the last byte;
-/// `packed` is for its use.
+/// The reverse of [`put_indices`]: reads `count` indices below `values` into `out`, whose content is replaced.
 pub(super) fn read_indices(
     streams: &mut StreamReader,
     mut reader: Reader,
     values: usize,
     count: usize,
     followed: Option<&[u16]>,
-    packed: &mut Vec<u8>,
-    mut each: impl FnMut(u8),
+    out: &mut Vec<u8>,
 ) -> Result<(), CodecError> {
     const WAY: &str = "way of indices";
     let code = reader.u8(WAY)?;
     let error = CodecError::Range { place: WAY, found: u64::from(code), limit: Way::ALL.len() as u64 - 1 };
     let way = *Way::ALL.get(usize::from(code)).ok_or(error)?;
-    if way != Way::Packed {
-        if values > FEW_SYMBOLS {
-            return Err(CodecError::Range { place: "symbols", found: values as u64, limit: FEW_SYMBOLS as u64 });
-        }
-        if way == Way::Before {
-            streams.coder.read_in(reader.rest(), count, values, |before, _| usize::from(before), packed)?;
-        } else {
+    if way != Way::Packed && values > FEW_SYMBOLS {
+        return Err(CodecError::Range { place: "symbols", found: values as u64, limit: FEW_SYMBOLS as u64 });
+    }
+    match way {
+        Way::Packed => read_packed(streams, reader, index_bits(values), count, out)?,
+        Way::Before => streams.coder.read_in(reader.rest(), count, values, |before, _| usize::from(before), out)?,
+        Way::Both => {
             let followed = followed.filter(|f| f.len() == count).ok_or(CodecError::NoLeader)?;
             let (found, limit) = (FEW_SYMBOLS as u64, FEW_SYMBOLS as u64 - 1);
             let error = CodecError::Range { place: "number that is followed", found, limit };
             let sides = sides(followed).ok_or(error)?;
             let context = |before, i: usize| usize::from(followed[i]) * values + usize::from(before);
-            streams.coder.read_in(reader.rest(), count, values * sides, context, packed)?;
-        }
-        let largest = packed.iter().copied().max().unwrap_or(0);
-        if usize::from(largest) >= values {
-            return Err(outside(largest, values));
-        }
-        packed.iter().for_each(|index| each(*index));
-        return Ok(());
-    }
-    let bits = index_bits(values);
-    let per_byte = (8 / bits) as usize;
-    streams.read(&mut reader, count.div_ceil(per_byte), packed)?;
-    reader.end("bytes after the indices")?;
-    let mask = u8::MAX >> (8 - bits);
-    let mut largest = 0;
-    for byte in packed.iter() {
-        for place in 0..per_byte {
-            let index = byte >> (place as u32 * bits) & mask;
-            largest = largest.max(index);
-            each(index);
+            streams.coder.read_in(reader.rest(), count, values * sides, context, out)?;
         }
     }
+    let largest = out.iter().copied().max().unwrap_or(0);
     if usize::from(largest) >= values {
         return Err(outside(largest, values));
     }
+    out.truncate(count);
     Ok(())
+}
+
+/// Reads indices of so many bits, and those that fill the last byte.
+fn read_packed(
+    streams: &mut StreamReader,
+    mut reader: Reader,
+    bits: u32,
+    count: usize,
+    out: &mut Vec<u8>,
+) -> Result<(), CodecError> {
+    let per_byte = (8 / bits) as usize;
+    let mut packed = std::mem::take(&mut streams.symbols);
+    let result = streams.read(&mut reader, count.div_ceil(per_byte), &mut packed);
+    out.clear();
+    out.resize(packed.len() * per_byte, 0);
+    match bits {
+        1 => unpack::<8>(&packed, out),
+        2 => unpack::<4>(&packed, out),
+        4 => unpack::<2>(&packed, out),
+        _ => out.copy_from_slice(&packed),
+    }
+    streams.symbols = packed;
+    result?;
+    reader.end("bytes after the indices")
 }
 
 fn outside(index: u8, values: usize) -> CodecError {
@@ -244,15 +251,24 @@ fn pack<const N: usize>(indices: &mut [u8]) {
     }
 }
 
-/// Reads `count` values, up to the end of the block, into `out`, whose content is replaced.
+/// The reverse of [`pack`].
+fn unpack<const N: usize>(packed: &[u8], indices: &mut [u8]) {
+    for (group, byte) in indices.chunks_exact_mut(N).zip(packed) {
+        for (place, index) in group.iter_mut().enumerate() {
+            *index = byte >> (place * 8 / N) & u8::MAX >> (8 - 8 / N);
+        }
+    }
+}
+
+/// Reads a table, and `count` indices into it, up to the end of the block, into `indices`, whose content is replaced. Where
+/// no index leads the table is 0.
 pub(super) fn read(
     streams: &mut StreamReader,
     mut reader: Reader,
-    indices: &mut Vec<u8>,
     count: usize,
     followed: Option<&[u16]>,
-    out: &mut Vec<u64>,
-) -> Result<(), CodecError> {
+    indices: &mut Vec<u8>,
+) -> Result<[u64; MAX_VALUES], CodecError> {
     const TABLE: &str = "table of values";
     let len = usize::from(reader.u8(TABLE)?) + 1;
     if !(1..=MAX_VALUES).contains(&len) {
@@ -266,11 +282,8 @@ pub(super) fn read(
         before = before.checked_add(distance).ok_or(error)?;
         *value = before;
     }
-    out.clear();
-    // A table has at most 16 values, and their indices at most 4 bits.
-    read_indices(streams, reader, len, count, followed, indices, |index| out.push(table[usize::from(index)]))?;
-    out.truncate(count);
-    Ok(())
+    read_indices(streams, reader, len, count, followed, indices)?;
+    Ok(table)
 }
 
 #[cfg(test)]
@@ -312,22 +325,21 @@ mod tests {
                 let (mut bytes, mut same) = (Vec::new(), indices.clone());
                 put(&mut StreamWriter::default(), &found, &mut same, Some(&followed), &mut bytes);
                 let (mut streams, mut back) = (StreamReader::default(), Vec::new());
-                let mut read = |followed: Option<&[u16]>, back: &mut _| {
-                    read(&mut streams, Reader::new(&bytes), &mut same, values.len(), followed, back)
+                let mut read = |followed: Option<&[u16]>| {
+                    let table = read(&mut streams, Reader::new(&bytes), values.len(), followed, &mut back)?;
+                    Ok::<Vec<_>, CodecError>(back.iter().map(|i| table[usize::from(*i)]).collect())
                 };
-                read(Some(&followed), &mut back).unwrap();
-                prop_assert_eq!(&back, &values);
+                prop_assert_eq!(&read(Some(&followed)).unwrap(), &values);
                 for followed in [None, Some(&followed[1..])] {
-                    if let Err(error) = read(followed, &mut back) {
+                    if let Err(error) = read(followed) {
                         prop_assert_eq!(error, CodecError::NoLeader);
                     }
                 }
             }
             let mut bytes = Vec::new();
             put(&mut StreamWriter::default(), &found, &mut indices, None, &mut bytes);
-            let mut back = Vec::new();
-            read(&mut StreamReader::default(), Reader::new(&bytes), &mut indices, values.len(), None, &mut back).unwrap();
-            prop_assert_eq!(back, values);
+            let table = read(&mut StreamReader::default(), Reader::new(&bytes), values.len(), None, &mut indices).unwrap();
+            prop_assert_eq!(indices.iter().map(|i| table[usize::from(*i)]).collect::<Vec<_>>(), values);
         }
     }
 
@@ -336,7 +348,7 @@ mod tests {
         // Contexts of two values, of which only the first occurs, with a weight for the third symbol alone: bits 1, 0, 0, 100 00, 0.
         let states = [0x8000_u32; 4].map(u32::to_le_bytes).concat();
         let bytes = [&[Way::Before as u8, 2, 0b1001, 0], &states[..]].concat();
-        let result = read_indices(&mut StreamReader::default(), Reader::new(&bytes), 2, 4, None, &mut vec![], |_| ());
+        let result = read_indices(&mut StreamReader::default(), Reader::new(&bytes), 2, 4, None, &mut vec![]);
         assert_eq!(result, Err(outside(2, 2)));
     }
 }

@@ -159,6 +159,13 @@ pub(super) enum Numbers<'a> {
     Wide(&'a [u64]),
 }
 
+/// The greatest of some numbers, or any from there to the limit if all are within it. (Their bits together tell that mostly,
+/// many at a time.)
+pub(super) fn largest_above(numbers: &[u64], limit: u64) -> u64 {
+    let all = numbers.iter().fold(0, |all, n| all | n);
+    if all <= limit { all } else { numbers.iter().copied().max().unwrap_or(0) }
+}
+
 /// Reads `count` numbers, up to the end of the block, into one of the buffers; all are at most `limit`.
 pub(super) fn read<'a>(
     streams: &mut StreamReader,
@@ -196,7 +203,7 @@ pub(super) fn read<'a>(
                     *number = before;
                 }
             }
-            largest = wide.iter().copied().max().unwrap_or(0);
+            largest = largest_above(wide, limit);
             Numbers::Wide(wide)
         }
     };

@@ -46,7 +46,6 @@ pub(super) fn read(
     streams: &mut StreamReader,
     bytes: &[u8],
     count: usize,
-    packed: &mut Vec<u8>,
     out: &mut Vec<u8>,
 ) -> Result<usize, CodecError> {
     const PASSES: &str = "passes";
@@ -55,13 +54,13 @@ pub(super) fn read(
     if !(1..=MAX_PASSES).contains(&passes) {
         return Err(CodecError::Range { place: PASSES, found: passes as u64, limit: MAX_PASSES as u64 });
     }
-    out.clear();
     if passes == 1 {
         reader.end(PASSES)?;
+        out.clear();
+        out.resize(count, 0);
     } else {
-        read_indices(streams, reader, passes, count, None, packed, |pass| out.push(pass))?;
+        read_indices(streams, reader, passes, count, None, out)?;
     }
-    out.resize(count, 0);
     Ok(passes)
 }
 
@@ -97,7 +96,7 @@ mod tests {
     fn there_is_a_pass_and_there_are_not_too_many() {
         let mut passes = Vec::new();
         let mut read = |bytes: &[u8]| {
-            let found = read(&mut StreamReader::default(), bytes, 3, &mut Vec::new(), &mut passes);
+            let found = read(&mut StreamReader::default(), bytes, 3, &mut passes);
             found.map(|count| (count, passes.clone()))
         };
         assert_eq!(read(&[1]), Ok((1, vec![0; 3])));

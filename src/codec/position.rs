@@ -255,12 +255,12 @@ impl<'a> PositionChunk<'a> {
     pub(super) fn passes(&self, decoder: &mut Decoder, block: usize) -> Result<usize, CodecError> {
         let bytes = self.directory.block(self.bounds.len() + block)?;
         let count = block_range(block, self.count).len();
-        let Decoder { streams, bytes: packed, passes, passes_of: (of, found), .. } = decoder;
+        let Decoder { streams, passes, passes_of: (of, found), .. } = decoder;
         if *found > 0 && passes.len() == count && of == bytes {
             return Ok(*found);
         }
         *found = 0;
-        *found = passes::read(streams, bytes, count, packed, passes)?;
+        *found = passes::read(streams, bytes, count, passes)?;
         of.clear();
         of.extend_from_slice(bytes);
         Ok(*found)

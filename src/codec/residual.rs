@@ -6,10 +6,10 @@
 //! of a Golomb-Rice code's quotient; unlike there the split follows each value's size, so wide jumps between octants
 //! need no escape.)
 
-use super::CodecError;
-use super::bits::{BitWriter, MAX_BITS, PADDING, bits_at, wide_bits_at};
+use super::bits::{BitWriter, MAX_BITS, PADDING, bits_or_zeros, wide_bits_or_zeros};
 use super::reader::Reader;
 use super::stream::{StreamReader, StreamWriter};
+use super::{BLOCK_POINTS, CodecError};
 use std::ops::Range;
 use std::sync::LazyLock;
 
@@ -22,9 +22,9 @@ const SYMBOL_BITS: f32 = 5.0;
 /// The most values that [`sample`] takes: as many runs as fit, and what a stride rounded down leaves.
 pub(super) const SAMPLE: usize = 2 * SAMPLE_RUNS * SAMPLE_RUN;
 
-/// `n log2 n` for the counts of a sample.
-static COUNT_LOG: LazyLock<Vec<f32>> =
-    LazyLock::new(|| (0..=SAMPLE).map(|n| if n == 0 { 0.0 } else { n as f32 * (n as f32).log2() }).collect());
+/// `n log2 n` for counts of symbols of a block.
+pub(super) static COUNT_LOG: LazyLock<Vec<f32>> =
+    LazyLock::new(|| (0..=BLOCK_POINTS).map(|n| if n == 0 { 0.0 } else { n as f32 * (n as f32).log2() }).collect());
 
 /// How values are split, and what they will cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,14 +54,6 @@ fn join(symbol: u8, mantissa: u32) -> (u64, u32) {
     ((implied | symbol & ((1 << mantissa) - 1)) << tail, tail)
 }
 
-/// A value with its open bits, which begin at bit `at`.
-#[inline]
-fn with_tail((base, tail): (u64, u32), bits: &[u8], at: &mut usize, bits_at: impl Fn(&[u8], usize, u32) -> u64) -> u64 {
-    let value = base | bits_at(bits, *at, tail);
-    *at += tail as usize;
-    value
-}
-
 /// The largest `m` for which all values of `bits` bits have a symbol of one byte.
 pub(super) fn finest_mantissa(bits: u32) -> u32 {
     (0..=MAX_MANTISSA).rev().find(|m| (bits.saturating_sub(*m) + 1) << m <= 256).unwrap_or(0)
@@ -74,7 +66,7 @@ pub(super) fn sample(count: usize) -> impl Iterator<Item = Range<usize>> {
 }
 
 const SAMPLE_RUNS: usize = 8;
-const SAMPLE_RUN: usize = 128;
+const SAMPLE_RUN: usize = 64;
 
 /// How often each of a sample's symbols is there.
 struct Counts {
@@ -90,11 +82,13 @@ impl Counts {
         let mantissa = finest_mantissa(bits);
         // Two tables, since an addition that waits for the one before it is slow.
         let mut tables = [[0_u32; 256]; 2];
-        for pair in sample.chunks(2) {
-            for (table, value) in tables.iter_mut().zip(pair) {
+        let (pairs, last) = sample.as_chunks::<2>();
+        for values in pairs {
+            for (table, value) in tables.iter_mut().zip(values) {
                 table[usize::from(split(*value, mantissa).0)] += 1;
             }
         }
+        last.iter().for_each(|value| tables[0][usize::from(split(*value, mantissa).0)] += 1);
         let counts = std::array::from_fn(|s| tables[0][s] + tables[1][s]);
         Self { counts, mantissa, end: ((bits.saturating_sub(mantissa) + 1) << mantissa) as usize }
     }
@@ -116,18 +110,20 @@ impl Counts {
     /// What `scale` times as many values cost, in bits.
     fn cost(&self, scale: f32) -> f32 {
         let log = &**COUNT_LOG;
-        let (mut used, mut tails, mut total, mut parts) = (0, 0, 0, 0.0);
-        let groups = self.counts[..self.end].chunks(1 << self.mantissa);
-        for (tail, group) in std::iter::once(0).chain(0..).zip(groups) {
-            let mut points = 0;
-            for &n in group {
+        // What fills the last four is not there.
+        let (fours, _) = self.counts[..self.end.next_multiple_of(4)].as_chunks::<4>();
+        let (mut used, mut tails, mut total) = (0, 0, 0);
+        // Several sums, since an addition of floats that waits for the one before it is slow.
+        let mut parts = [0.0; 4];
+        for (first, four) in (0_u32..).step_by(4).zip(fours) {
+            for (symbol, (parts, &n)) in (first..).zip(parts.iter_mut().zip(four)) {
                 used += u32::from(n > 0);
-                points += n;
-                parts += log[n as usize];
+                tails += n * (symbol >> self.mantissa).saturating_sub(1);
+                total += n;
+                *parts += log[n as usize];
             }
-            tails += points * tail;
-            total += points;
         }
+        let parts: f32 = parts.iter().sum();
         (log[total as usize] - parts + tails as f32) * scale + used as f32 * SYMBOL_BITS
     }
 }
@@ -242,28 +238,26 @@ fn unsplit(
     out.clear();
     let largest = symbols.iter().copied().max().unwrap_or(0);
     let widest = tail_checked(largest, mantissa, max_bits)?;
-    // What each symbol stands for, once for the block.
-    let mut joined = [(0, 0); 256];
-    for (symbol, joined) in (0..=largest).zip(&mut joined) {
-        *joined = join(symbol, mantissa);
-    }
-    let join = |symbol: u8| joined[usize::from(symbol)];
-    let open: u64 = if widest == 0 { 0 } else { symbols.iter().map(|s| u64::from(join(*s).1)).sum() };
-    // At most 64 bits for each of a block's values.
-    let expected = open.div_ceil(8) as usize;
-    if bits.len() != expected {
-        return Err(CodecError::Length { place: "open bits", expected, found: bits.len() });
-    }
-    bits.resize(expected + PADDING, 0);
+    let found = bits.len();
+    bits.resize(found + PADDING, 0);
+    let mut at = 0;
     if widest == 0 {
         out.extend(symbols.iter().map(|s| u64::from(*s)));
-        return Ok(());
-    }
-    let mut at = 0;
-    if widest <= MAX_BITS {
-        out.extend(symbols.iter().map(|s| with_tail(join(*s), bits, &mut at, bits_at)));
     } else {
-        out.extend(symbols.iter().map(|s| with_tail(join(*s), bits, &mut at, wide_bits_at)));
+        let mut joined = [(0, 0); 256];
+        joined.iter_mut().zip(0..=largest).for_each(|(joined, symbol)| *joined = join(symbol, mantissa));
+        let wide = widest > MAX_BITS;
+        out.extend(symbols.iter().map(|symbol| {
+            let (base, tail) = joined[usize::from(*symbol)];
+            let open = if wide { wide_bits_or_zeros(bits, at, tail) } else { bits_or_zeros(bits, at, tail) };
+            at += tail as usize;
+            base | open
+        }));
+    }
+    // At most 64 bits for each of a block's values.
+    let expected = at.div_ceil(8);
+    if found != expected {
+        return Err(CodecError::Length { place: "open bits", expected, found });
     }
     Ok(())
 }

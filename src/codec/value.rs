@@ -19,6 +19,8 @@ pub(super) trait Value: Copy + Default {
     fn append_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u64>);
     /// The same where there are at most 255 of them.
     fn append_few_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u8>);
+    /// The reverse: appends the values that are so many steps above `least`, of which none leaves the type's range.
+    fn append_stepped<N: Copy + Into<u64>>(numbers: &[N], least: u64, step: u64, out: &mut Vec<Self>);
 }
 
 /// How a block's values lie, by [`Value::ordered`].
@@ -54,6 +56,12 @@ macro_rules! of_blocks {
                 let steps = |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
                 out.extend(values.iter().map(|v| steps(v) as u8));
             }
+        }
+
+        fn append_stepped<N: Copy + Into<u64>>(numbers: &[N], least: u64, step: u64, out: &mut Vec<Self>) {
+            let (least, step) = (least as $u, step as $u);
+            let ordered = |n: &N| least.wrapping_add(step.wrapping_mul((*n).into() as $u));
+            out.extend(numbers.iter().map(|n| Self::from_ordered(u64::from(ordered(n)))));
         }
 
         fn survey(values: &[Self]) -> Survey {

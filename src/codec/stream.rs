@@ -7,7 +7,7 @@ use super::reader::{Reader, put_varint};
 use super::symbols::{SymbolReader, SymbolWriter};
 use super::{BLOCK_POINTS, CodecError};
 use std::fmt;
-use zstd::zstd_safe::{CCtx, DCtx, compress_bound, get_error_name};
+use zstd::zstd_safe::{CCtx, CParameter, DCtx, ParamSwitch, compress_bound, get_error_name};
 
 /// The first four bytes of every frame, which are not stored.
 const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
@@ -15,26 +15,21 @@ const MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 /// Higher levels look for longer matches, of which there are few, and cost more than they save.
 const LEVEL: i32 = 1;
 
+/// How far zstd's fastest strategy steps from place to place, looking for matches: 0 is the level's own, and this beyond the
+/// end of any stream.
+const NO_MATCHES: u32 = 2 * BLOCK_POINTS as u32;
+
 /// Below this nothing pays.
 const MIN_BYTES: usize = 24;
 
 /// So many bytes tell if there are repetitions, which zstd finds and the entropy coder does not: noise has none.
 const PROBE_BYTES: usize = 512;
 
-/// Streams of more bits a symbol become frames.
-const FRAME_BITS: f32 = 4.0;
+/// Streams of more bits a symbol become frames: whole bits cost next to nothing more there, and zstd's tables decode faster.
+const FRAME_BITS: usize = 4;
 
-/// Every so many bytes are looked at to tell.
-const FRAME_STRIDE: usize = 8;
-
-/// Has a symbol many bits of information?
-fn many_bits(bytes: &[u8]) -> bool {
-    let mut counts = [0_u16; 256];
-    bytes.iter().step_by(FRAME_STRIDE).for_each(|byte| counts[usize::from(*byte)] += 1);
-    let total = bytes.len().div_ceil(FRAME_STRIDE) as f32;
-    let bits: f32 = counts.iter().filter(|n| **n > 0).map(|n| f32::from(*n) * (total / f32::from(*n)).log2()).sum();
-    bits > FRAME_BITS * total
-}
+/// And may take so much more, as a share.
+const FRAME_LOSS: usize = 32;
 
 /// Is half of the first bytes where a run of eight was seen before?
 fn repeats(bytes: &[u8]) -> bool {
@@ -94,17 +89,12 @@ impl StreamWriter {
     pub(super) fn put(&mut self, bytes: &[u8], out: &mut Vec<u8>) {
         let len = bytes.len();
         if len >= MIN_BYTES {
-            // Many bits a symbol: whole bits cost next to nothing more, and zstd's tables decode faster.
-            if many_bits(bytes)
-                && let Some(frame) = self.compress(bytes)
-                && frame < len
-            {
-                return put_packed(Packing::Frame, &self.frame[MAGIC.len()..], out);
-            }
             let coded = self.coder.count(bytes);
-            if (len <= PROBE_BYTES || repeats(bytes))
-                && let Some(frame) = self.compress(bytes)
-                && frame < coded.min(len)
+            let many_bits = 8 * coded > FRAME_BITS * len;
+            let repeats = len <= PROBE_BYTES || repeats(bytes);
+            if (many_bits || repeats)
+                && let Some(frame) = self.compress(bytes, repeats)
+                && frame < len.min(if many_bits { coded + coded / FRAME_LOSS } else { coded })
             {
                 return put_packed(Packing::Frame, &self.frame[MAGIC.len()..], out);
             }
@@ -133,11 +123,13 @@ impl StreamWriter {
         out.extend_from_slice(&self.zeros.1);
     }
 
-    /// Makes a frame and gives its length without the magic number; none if zstd fails.
-    fn compress(&mut self, bytes: &[u8]) -> Option<usize> {
+    /// Makes a frame, for bytes without repetitions one of single bytes, and gives its length without the magic number; none
+    /// if zstd fails.
+    fn compress(&mut self, bytes: &[u8], repeats: bool) -> Option<usize> {
         self.frame.clear();
         self.frame.reserve(compress_bound(bytes.len()));
-        self.zstd.compress(&mut self.frame, bytes, LEVEL).ok()?;
+        self.zstd.set_parameter(CParameter::TargetLength(if repeats { 0 } else { NO_MATCHES })).ok()?;
+        self.zstd.compress2(&mut self.frame, bytes).ok()?;
         self.frame.strip_prefix(&MAGIC).map(<[u8]>::len)
     }
 }
@@ -179,8 +171,12 @@ impl StreamReader {
 
 impl Default for StreamWriter {
     fn default() -> Self {
+        let mut zstd = CCtx::create();
+        // Both are known to every version. Were they not, frames would be larger and that is all.
+        let _ = zstd.set_parameter(CParameter::CompressionLevel(LEVEL));
+        let _ = zstd.set_parameter(CParameter::LiteralCompressionMode(ParamSwitch::Enable));
         Self {
-            zstd: CCtx::create(),
+            zstd,
             frame: Vec::new(),
             coder: SymbolWriter::default(),
             symbols: Vec::new(),

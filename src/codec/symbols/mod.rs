@@ -12,6 +12,7 @@ mod table;
 
 use super::bits::{BitWriter, PADDING};
 use super::reader::Reader;
+use super::residual::COUNT_LOG;
 use super::{BLOCK_POINTS, CodecError};
 use std::hint::select_unpredictable;
 use table::{Bits, MAX_STORED_BITS, MAX_SYMBOLS};
@@ -139,12 +140,16 @@ impl SymbolWriter {
 
     /// By the information of the symbols; a symbol of a table costs about four bits.
     fn estimate(&self) -> usize {
+        let log = &**COUNT_LOG;
         let mut bits = 0.0;
         for table in self.counts.chunks(self.symbols.max(1)) {
-            let total: u32 = table.iter().sum();
-            for &n in table.iter().filter(|n| **n > 0) {
-                bits += n as f32 * (total as f32 / n as f32).log2() + 4.0;
+            let (mut total, mut used, mut parts) = (0, 0, 0.0);
+            for &n in table {
+                total += n;
+                used += u32::from(n > 0);
+                parts += log[n as usize];
             }
+            bits += log[total as usize] - parts + (4 * used) as f32;
         }
         bits as usize / 8 + self.contexts.div_ceil(8) + STATE_BYTES - RUNS * 2
     }

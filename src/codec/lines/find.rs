@@ -5,6 +5,7 @@ use super::Place;
 use super::fit::Fit;
 use super::walk::{MAX_LINES_PER_POINT, MAX_PASSES, Model, ONE_PULSE, Pass, Units, nearest};
 use crate::codec::ranked::Entry;
+use std::ops::Range;
 
 /// The fewest points among which lines are looked for: below, passes cost more than they save.
 const MIN_POINTS: usize = 256;
@@ -58,10 +59,14 @@ pub(super) struct Found {
     labels: Vec<(u8, u32)>,
     pulse: u64,
     sweeps: Vec<Sweep>,
+    /// The sweeps of the flight that each pass is of.
+    flights: Vec<Range<usize>>,
     gaps: Vec<i64>,
     /// Distances from the beginning of a sweep.
     samples: Vec<f64>,
-    errors: Vec<f64>,
+    /// Of those that are near: the square of the error a pulse, the pulses, and the distance.
+    near: Vec<(f64, f64, f64)>,
+    errors: Vec<u64>,
 }
 
 impl Found {
@@ -120,11 +125,12 @@ impl Found {
 
     /// Groups sweeps to passes, one for each direction; false if there are too many.
     fn find_passes(&mut self, sorted: &[Entry], places: &[Place]) -> bool {
-        let Self { sweeps, gaps, .. } = self;
+        let Self { sweeps, gaps, flights, .. } = self;
+        flights.clear();
         gaps.clear();
         gaps.extend(sweeps.windows(2).map(|w| w[1].from - w[0].from));
         let usual = *gaps.select_nth_unstable(sweeps.len() / 2 - 1).1;
-        let mut passes = 0;
+        let (mut passes, mut first) = (0, 0);
         for flight in sweeps.chunk_by_mut(|a, b| b.from - a.from <= usual.max(1).saturating_mul(PASS_GAP)) {
             let direction = |sweep: &Sweep| {
                 let [from, to] = [sweep.first, sweep.end - 1].map(|i| places[sorted[i].index()]);
@@ -157,6 +163,8 @@ impl Found {
             if passes > MAX_PASSES {
                 return false;
             }
+            flights.resize(passes, first..first + flight.len());
+            first += flight.len();
         }
         self.passes.clear();
         self.passes.resize(passes, Pass::default());
@@ -165,9 +173,10 @@ impl Found {
 
     /// Finds the period of each pass and numbers its lines; false if there are too many.
     fn number_lines(&mut self, points: usize) -> bool {
-        let Self { sweeps, passes, gaps, .. } = self;
+        let Self { sweeps, flights, passes, gaps, .. } = self;
         let mut lines = 0;
-        for (index, pass) in passes.iter_mut().enumerate() {
+        for (index, (pass, flight)) in passes.iter_mut().zip(flights).enumerate() {
+            let sweeps = &mut sweeps[flight.clone()];
             let own = || sweeps.iter().filter(move |s| s.pass == index).map(Sweep::middle);
             let Some(origin) = own().next() else { return false };
             gaps.clear();
@@ -232,7 +241,7 @@ impl Found {
 
     /// Finds the distance between pulses: the least common gap, then a better one over longer and longer ways.
     fn find_pulse(&mut self, sorted: &[Entry]) {
-        let Self { sweeps, gaps, samples, errors, .. } = self;
+        let Self { sweeps, gaps, samples, near, errors, .. } = self;
         self.pulse = ONE_PULSE;
         gaps.clear();
         samples.clear();
@@ -260,24 +269,28 @@ impl Found {
         }
         let mut pulse: f64 = sum / count;
         for reach in [4.0, 16.0, 64.0, 256.0] {
-            // What the pulse's own error does grows with the way.
-            let error = |way: &f64| {
-                let pulses = nearest(way / pulse) as f64;
-                (pulses > 0.0 && pulses <= reach).then(|| ((way - pulses * pulse).abs() / pulses.sqrt(), pulses))
-            };
+            near.clear();
             errors.clear();
-            errors.extend(samples.iter().filter_map(error).map(|e| e.0));
+            let pulses_a_number = 1.0 / pulse;
+            for &way in samples.iter() {
+                let pulses = nearest(way * pulses_a_number) as f64;
+                if pulses > 0.0 && pulses <= reach {
+                    // What the pulse's own error does grows with the way. Squares have the same order, and so have the bits
+                    // of floats that are not negative.
+                    let error = (way - pulses * pulse).powi(2) / pulses;
+                    near.push((error, pulses, way));
+                    errors.push(error.to_bits());
+                }
+            }
             if errors.is_empty() {
                 continue;
             }
             let middle = errors.len() / 2;
-            let limit = 1.5 * *errors.select_nth_unstable_by(middle, f64::total_cmp).1;
+            let limit = 1.5 * 1.5 * f64::from_bits(*errors.select_nth_unstable(middle).1);
             let (mut with, mut squares) = (0.0, 0.0);
-            for sample in samples.iter() {
-                if let Some((error, pulses)) = error(sample)
-                    && error <= limit
-                {
-                    with += pulses * sample;
+            for &(error, pulses, way) in near.iter() {
+                if error <= limit {
+                    with += pulses * way;
                     squares += pulses * pulses;
                 }
             }

@@ -65,14 +65,16 @@ pub(super) fn put(
     match (slot.put, column) {
         (Put::Bits { shift, mask }, Column::U8(values)) => {
             let values = &values[range];
-            let mut all = 0;
-            for (row, value) in rows.chunks_exact_mut(stride).zip(values) {
-                all |= value;
-                row[at] |= (value & mask) << shift;
-            }
+            let all = values.iter().fold(0, |all, value| all | value);
             if all & !mask != 0 {
                 let value = values.iter().copied().find(|v| v & !mask != 0).unwrap_or(all);
                 return Err(TooLarge { value, largest: mask });
+            }
+            // Most flags are set nowhere.
+            if all != 0 {
+                for (row, value) in rows.chunks_exact_mut(stride).zip(values) {
+                    row[at] |= value << shift;
+                }
             }
         }
         (Put::Degrees, Column::I8(values)) => {

@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 type Array<'py, T> = Bound<'py, PyArray1<T>>;
@@ -217,7 +218,12 @@ impl Reader {
     /// JSON: what `esker verify --json` prints.
     fn verify(&self, py: Python<'_>, deep: bool) -> PyResult<String> {
         let (store, _) = self.current(py)?;
-        let report = interruptible(py, to_its_end, quietly, || verify(&store, deep, &|_, _| {}))?;
+        let stop = AtomicBool::new(false);
+        let ask = |_, _| if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let work = || verify(&store, deep, &ask);
+        let report = interruptible(py, || stop.store(true, Ordering::Relaxed), quietly, work)?;
+        // Only what was interrupted has none.
+        let report = report.ok_or_else(|| misuse("the check was ended"))?;
         let finding = |f: &Finding| serde_json::json!({ "table": f.table, "key": f.key, "what": f.what });
         json(&serde_json::json!({
             "whole": report.is_whole(),

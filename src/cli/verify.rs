@@ -2,9 +2,11 @@
 
 use super::{Outcome, output};
 use crate::store::{Store, verify};
+use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 /// Checks that a store is whole: checksums, counts, bounds, zone maps, and that no point was lost.
@@ -35,8 +37,10 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let report = verify(&store, arguments.deep, &|done, all| {
         bar.set_length(all);
         bar.set_position(done);
+        ControlFlow::Continue(())
     });
     bar.finish_and_clear();
+    let report = report.context("the check was ended")?;
     if arguments.json {
         let findings: Vec<_> = report
             .findings

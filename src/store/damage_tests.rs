@@ -1,14 +1,12 @@
 //! Damage is found, named, and never read as points.
 
 use super::connection::{self, Purpose};
-use super::testing::{content, options, points, prepare, replace, some_points, sorted};
+use super::testing::{content, options, points, prepare, replace, some_points, sorted, verified};
 use super::*;
 use proptest::prelude::*;
+use std::ops::ControlFlow;
 use std::path::Path;
-
-fn whole(store: &Store) -> Report {
-    verify(store, true, &|_, _| {})
-}
+use std::sync::atomic::{AtomicU64, Ordering};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
@@ -16,7 +14,7 @@ proptest! {
     fn what_was_written_is_whole_and_digests_depend_on_content_alone(points in points(500), rest in points(60)) {
         let store = Store::in_memory(options()).unwrap();
         replace(&store, points.clone());
-        let report = whole(&store);
+        let report = verified(&store, true);
         prop_assert_eq!(&report.findings, &vec![]);
         prop_assert_eq!(report.points, points.len() as u64);
         let first = digest(&store.snapshot().unwrap()).unwrap();
@@ -25,7 +23,7 @@ proptest! {
         reversed.reverse();
         replace(&store, rest);
         replace(&store, reversed);
-        prop_assert!(whole(&store).is_whole());
+        prop_assert!(verified(&store, true).is_whole());
         prop_assert_eq!(digest(&store.snapshot().unwrap()).unwrap(), first);
         // One bit of one attribute, and one scan for another.
         let mut other = points.clone();
@@ -83,7 +81,7 @@ fn a_flipped_byte_is_found_wherever_it_is_and_never_read_as_points() {
         std::fs::write(&copy, &damaged).unwrap();
         let mut found = true;
         if let Ok(store) = Store::open(&copy) {
-            found = !verify(&store, false, &|_, _| {}).is_whole();
+            found = !verified(&store, false).is_whole();
             match store.snapshot().and_then(|s| content(&s)) {
                 Ok(content) => assert_eq!(content, expected, "byte {at} ^ {mask:#x}"),
                 Err(_) => assert!(found, "byte {at} ^ {mask:#x}"),
@@ -130,7 +128,7 @@ fn a_file_that_was_cut_short_is_found() {
         let copy = folder.path().join(format!("{length}.esker"));
         std::fs::write(&copy, &file[..length]).unwrap();
         if let Ok(store) = Store::open(&copy) {
-            assert!(!verify(&store, false, &|_, _| {}).is_whole(), "{length}");
+            assert!(!verified(&store, false).is_whole(), "{length}");
             assert!(store.snapshot().and_then(|s| content(&s)).is_err(), "{length}");
         }
     }
@@ -150,7 +148,7 @@ fn rows_that_are_whole_but_wrong_are_found() {
         change(nodes);
         writer.commit(flip).unwrap();
         drop(writer);
-        let report = whole(&store);
+        let report = verified(&store, true);
         assert!(report.findings.iter().any(|f| f.to_string().contains(words)), "{words}: {:#?}", report.findings);
     };
     expect(&|nodes| nodes[1].0.shape.radius *= 2.0, "radius");
@@ -216,4 +214,28 @@ fn info_adds_up() {
     assert!(info(&snapshot).unwrap().in_use);
     drop(writer);
     assert!(!info(&snapshot).unwrap().in_use);
+}
+
+#[test]
+fn a_check_that_is_ended_gives_no_report_whenever_that_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::create(folder.path().join("a.esker"), options()).unwrap();
+    replace(&store, some_points(700));
+    let asked_until = |end: u64| {
+        let asked = AtomicU64::new(0);
+        let report = verify(&store, true, &|done, all| {
+            assert!(done <= all && all == 1400);
+            let now = asked.fetch_add(1, Ordering::Relaxed) + 1;
+            if now >= end { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        });
+        (report, asked.into_inner())
+    };
+    let (report, all) = asked_until(u64::MAX);
+    assert!(report.unwrap().is_whole());
+    for end in 1..=all {
+        let (report, asked) = asked_until(end);
+        assert_eq!(report, None, "ended when asked for time {end} of {all}");
+        // Nodes that other threads were at.
+        assert!(asked <= end + rayon::current_num_threads() as u64, "asked {asked} times, ended at {end}");
+    }
 }

@@ -9,6 +9,12 @@ use crate::octree::{self, Params, assemble};
 use crate::points::{Attribute, Column, ScalarType};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+
+/// What a check to its end finds.
+pub fn verified(store: &Store, deep: bool) -> Report {
+    verify(store, deep, &|_, _| ControlFlow::Continue(())).unwrap()
+}
 
 /// A point with two attributes, of which scan 2 has only the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,7 +1,7 @@
 //! Laws of the store as a whole.
 
 use super::files::{beside, journal, wal, wal_bytes};
-use super::testing::{content, elsewhere, options, points, prepare, replace, some_points, sorted};
+use super::testing::{content, elsewhere, options, points, prepare, replace, some_points, sorted, verified};
 use super::*;
 use proptest::prelude::*;
 use rusqlite::Connection;
@@ -478,7 +478,7 @@ fn a_full_disk_leaves_the_store_as_it_was() {
     full(false);
     full(true);
     assert!(!store.changed(&before).unwrap());
-    assert!(verify(&store, true, &|_, _| {}).is_whole());
+    assert!(verified(&store, true).is_whole());
     replace(&store, some_points(900));
     assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(900)));
 }

@@ -123,7 +123,7 @@ fn a_small_change_of_a_large_store_reads_the_rows_around_it_and_no_others() {
         bend(&store, &far, 1);
         step();
         bend(&store, &far, -1);
-        let report = verify(&Store::open(&store).unwrap(), true, &|_, _| {});
+        let report = verify(&Store::open(&store).unwrap(), true, &|_, _| std::ops::ControlFlow::Continue(())).unwrap();
         assert!(report.findings.is_empty(), "{what}: {:?}", report.findings);
         let fresh = place.path(&format!("{what}.esker"));
         ingest(&fresh, &left, &options(), &()).unwrap();

@@ -62,7 +62,7 @@ fn files(folder: &Path, random: &mut Random) -> Vec<PathBuf> {
 }
 
 fn checked(store: &Path, context: &str) -> [String; 2] {
-    let report = verify(&Store::open(store).unwrap(), true, &|_, _| {});
+    let report = verify(&Store::open(store).unwrap(), true, &|_, _| std::ops::ControlFlow::Continue(())).unwrap();
     assert!(report.findings.is_empty(), "{context}: {:?}", report.findings);
     let digest = digest(store, &Resources::default(), &()).unwrap();
     [digest.points.to_string(), digest.scans.to_string()]

@@ -15,6 +15,7 @@ use crate::lattice::LatticeBox;
 use node::{Checker, NodeTally};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// More findings than this are only counted.
@@ -84,18 +85,31 @@ fn finding(error: StoreError) -> Finding {
     }
 }
 
+/// Who is told how far the check is, and may end it.
+type Progress<'a> = &'a (dyn Fn(u64, u64) -> ControlFlow<()> + Sync);
+
 /// Checks a store. With `deep` also that every point is stored where the sampling rule puts it, and that the parts are
-/// those of the order of detail. `progress` is told the points checked and the points there are, from any thread.
-pub fn verify(store: &Store, deep: bool, progress: &(dyn Fn(u64, u64) + Sync)) -> Report {
+/// those of the order of detail. `progress` is told the points checked and the points there are, from any thread; by a
+/// break it ends the check, and then there is no report.
+pub fn verify(store: &Store, deep: bool, progress: &(dyn Fn(u64, u64) -> ControlFlow<()> + Sync)) -> Option<Report> {
+    check(store, deep, progress).continue_value()
+}
+
+fn check(store: &Store, deep: bool, progress: Progress<'_>) -> ControlFlow<(), Report> {
     let mut report = Report::default();
     let snapshot = match store.snapshot() {
         Ok(snapshot) => snapshot,
         Err(e) => {
             report.add_error(e);
-            return report;
+            return ControlFlow::Continue(report);
         }
     };
-    match snapshot.with(tables::integrity) {
+    let total = snapshot.scans().iter().map(|s| s.stored).sum::<u64>() * if deep { 2 } else { 1 };
+    progress(0, total)?;
+    let found = snapshot.with(|c| tables::integrity(c, || progress(0, total).is_break()));
+    // If it was ended, that is no finding.
+    progress(0, total)?;
+    match found {
         Ok(found) => report.add(found),
         Err(e) => report.add_error(e),
     }
@@ -103,7 +117,7 @@ pub fn verify(store: &Store, deep: bool, progress: &(dyn Fn(u64, u64) + Sync)) -
         Ok(found) => found,
         Err(e) => {
             report.add_error(e);
-            return report;
+            return ControlFlow::Continue(report);
         }
     };
     let all_nodes = damage.is_empty();
@@ -113,18 +127,18 @@ pub fn verify(store: &Store, deep: bool, progress: &(dyn Fn(u64, u64) + Sync)) -
         Err(e) => report.add_error(e),
     }
     let checker = Checker::new(&snapshot);
-    let tally = check_nodes(&checker, &index, deep, progress, &mut report);
+    let tally = check_nodes(&checker, &index, deep, progress, &mut report)?;
     if all_nodes {
         check_scans(&snapshot, &index, &tally, &mut report);
     }
     if deep {
-        let found = sampling::check(&snapshot, &index, progress);
+        let found = sampling::check(&snapshot, &index, progress)?;
         report.add(found);
     }
     if let Err(e) = snapshot.bookmarks() {
         report.add_error(e);
     }
-    report
+    ControlFlow::Continue(report)
 }
 
 /// Content and zone maps of every node; gives the points and bounds found by scan.
@@ -132,21 +146,22 @@ fn check_nodes(
     checker: &Checker<'_>,
     index: &NodeIndex,
     deep: bool,
-    progress: &(dyn Fn(u64, u64) + Sync),
+    progress: Progress<'_>,
     report: &mut Report,
-) -> BTreeMap<ScanId, (u64, Option<LatticeBox>)> {
+) -> ControlFlow<(), BTreeMap<ScanId, (u64, Option<LatticeBox>)>> {
     let points: u64 = index.heads().iter().map(|h| h.own_points).sum();
     let total = points * if deep { 2 } else { 1 };
     let done = AtomicU64::new(0);
-    let tallies: Vec<NodeTally> = index
+    let tallies: Option<Vec<NodeTally>> = index
         .heads()
         .par_iter()
         .map_init(node::Scratch::default, |scratch, head| {
             let tally = checker.check(head, scratch);
-            progress(done.fetch_add(head.own_points, Ordering::Relaxed) + head.own_points, total);
-            tally
+            let now = done.fetch_add(head.own_points, Ordering::Relaxed) + head.own_points;
+            progress(now, total).is_continue().then_some(tally)
         })
         .collect();
+    let Some(tallies) = tallies else { return ControlFlow::Break(()) };
     let mut scans: BTreeMap<ScanId, (u64, Option<LatticeBox>)> = BTreeMap::new();
     let mut zones = Vec::with_capacity(tallies.len());
     for tally in tallies {
@@ -161,7 +176,7 @@ fn check_nodes(
         report.add(tally.findings);
     }
     check_subtree_zones(index, &zones, report);
-    scans
+    ControlFlow::Continue(scans)
 }
 
 /// A node's zone maps of its subtree are those of its own points and of its children's subtrees.

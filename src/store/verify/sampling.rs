@@ -12,12 +12,13 @@ use super::super::index::{NodeIndex, NodeIx};
 use super::super::model::{NodeHead, ScanId};
 use super::super::rows;
 use super::super::snapshot::Snapshot;
-use super::{Finding, finding};
+use super::{Finding, Progress, finding};
 use crate::codec::Decoder;
 use crate::lattice::{Key, SortKey};
 use crate::octree::{self, Params};
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 
 /// A point of a node: everything that orders it.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -48,13 +49,13 @@ struct Walk<'a> {
     /// The points of the nodes from the root down to here, in order.
     path: Vec<Vec<Point>>,
     findings: Vec<Finding>,
-    progress: &'a (dyn Fn(u64, u64) + Sync),
+    progress: Progress<'a>,
     done: u64,
     total: u64,
 }
 
-/// Checks all layers.
-pub(super) fn check(snapshot: &Snapshot, index: &NodeIndex, progress: &(dyn Fn(u64, u64) + Sync)) -> Vec<Finding> {
+/// Checks all layers, until `progress` breaks.
+pub(super) fn check(snapshot: &Snapshot, index: &NodeIndex, progress: Progress<'_>) -> ControlFlow<(), Vec<Finding>> {
     let site = snapshot.site();
     let points: u64 = index.heads().iter().map(|h| h.own_points).sum();
     let mut walk = Walk {
@@ -77,21 +78,21 @@ pub(super) fn check(snapshot: &Snapshot, index: &NodeIndex, progress: &(dyn Fn(u
             Err(e) => walk.findings.push(finding(e)),
         }
     }
-    index.roots().for_each(|root| walk.node(root, &[]));
-    walk.findings
+    index.roots().try_for_each(|root| walk.node(root, &[]))?;
+    ControlFlow::Continue(walk.findings)
 }
 
 impl Walk<'_> {
     /// `above`: the points of proper ancestors inside the node's cube, in order.
-    fn node(&mut self, node: NodeIx, above: &[Entry]) {
+    fn node(&mut self, node: NodeIx, above: &[Entry]) -> ControlFlow<()> {
         let index = self.index;
         let head = index.head(node);
         self.done += head.own_points;
-        (self.progress)(self.done, self.total);
+        (self.progress)(self.done, self.total)?;
         let (own, parts) = match self.read(head) {
             Ok(Some(read)) => read,
             // Told already by the check of the node itself; below it nothing can be decided.
-            Ok(None) | Err(_) => return,
+            Ok(None) | Err(_) => return ControlFlow::Continue(()),
         };
         let depth = self.path.len();
         let mine: Vec<Entry> = own.iter().enumerate().map(|(index, p)| Entry { key: p.key, depth, index }).collect();
@@ -106,9 +107,10 @@ impl Walk<'_> {
             let (first, last) = (cube.first_key(), cube.last_key());
             let from = merged.partition_point(|e| e.key < first);
             let to = merged.partition_point(|e| e.key <= last);
-            self.node(child, &merged[from..to]);
+            self.node(child, &merged[from..to])?;
         }
         self.path.pop();
+        ControlFlow::Continue(())
     }
 
     /// The node's points in order, and which part each is in; `None` if a scan or a column is missing.

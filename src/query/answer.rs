@@ -10,7 +10,7 @@ pub struct Answer {
     /// Points returned.
     pub points: u64,
     /// Every matching point of the store has a returned point within this distance, in CRS units; `None` if nothing can
-    /// be promised (a view under a filter that was cut short, or no point at all of some).
+    /// be promised: no point is returned, though some may match.
     pub error_bound: Option<f64>,
     /// For views: the largest error in pixels, at the centre of the image, of what is visible.
     pub error_bound_px: Option<f64>,

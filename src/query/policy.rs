@@ -12,9 +12,9 @@
 //! even thinning. So a larger capacity only ever adds points: it makes `s` smaller, and every ratio larger.
 
 use super::QueryError;
-use super::view::{RelativeLattice, SelectedPart, Selection, after_parts};
+use super::view::{RelativeLattice, SelectedPart, Selection, after_parts, not_begun_root};
 use crate::geometry::{Camera, Containment, DVec3, WorldBox};
-use crate::lattice::Lattice;
+use crate::lattice::{Cube, Lattice};
 use crate::octree::Metric;
 use crate::store::{Node, Nodes};
 use std::cmp::Reverse;
@@ -232,9 +232,13 @@ pub(crate) fn select_by_distance(
     let metric = Metric::new(lattice.quantum_f64());
     let mut selection = Selection { nodes_visited: visited, ..Selection::default() };
     let mut bounds = (Some(0.0_f64), Some(0.0_f64));
+    let mut begun = None;
     for (group, quota) in std::iter::once(&spine).chain(&groups).zip(quotas) {
+        if quota > 0 && begun.is_none() {
+            begun = group.parts.first().map(|(node, ..)| node.cube);
+        }
         selection.points += quota;
-        let bound = take(g, &metric, group, quota, &mut selection.parts);
+        let bound = take(g, &metric, group, quota, begun, &mut selection.parts);
         let px = bound.map(|b| camera.pixels_of_length(b, group.nearest));
         let larger = |a: Option<f64>, b: Option<f64>| Some(a?.max(b?));
         bounds = (larger(bounds.0, bound), larger(bounds.1, px));
@@ -288,8 +292,16 @@ fn quotas(policy: &DistancePolicy, spine: &Group, groups: &[Group], capacity: u6
     quotas
 }
 
-/// Takes the first `quota` points of a group, and says how far what is left out can be; `None`: nobody knows.
-fn take(g: u8, metric: &Metric, group: &Group, quota: u64, taken: &mut Vec<SelectedPart>) -> Option<f64> {
+/// Takes the first `quota` points of a group, and says how far what is left out can be; `None`: nobody knows. `begun` is the
+/// cube of the first node of which anything is taken.
+fn take(
+    g: u8,
+    metric: &Metric,
+    group: &Group,
+    quota: u64,
+    begun: Option<Cube>,
+    taken: &mut Vec<SelectedPart>,
+) -> Option<f64> {
     let mut left = quota;
     for (node, part, all) in &group.parts {
         let (part, all) = (*part, *all);
@@ -307,7 +319,9 @@ fn take(g: u8, metric: &Metric, group: &Group, quota: u64, taken: &mut Vec<Selec
         if !node.is_root() {
             return Some(others);
         }
-        return (points > 0 || part > 0).then(|| after_parts(metric, node, part).max(others));
+        let of_root =
+            if points > 0 || part > 0 { after_parts(metric, node, part) } else { not_begun_root(metric, node, begun?) };
+        return Some(of_root.max(others));
     }
     Some(0.0)
 }

@@ -141,6 +141,42 @@ fn params() -> impl Strategy<Value = Params> {
 
 const SLACK: f64 = 1.0 + 1e-12;
 
+/// The answers to a query under every capacity, each with its bound: all of the capacity is used, answers nest, and every
+/// bound is kept about `seen`; there is one as soon as there is a point. `all` is how many points there are without one.
+fn under_capacities(
+    test: &TestStore,
+    query: impl Fn() -> Query,
+    all: usize,
+    seen: &[Point],
+) -> Result<Vec<(Vec<Point>, Option<f64>)>, TestCaseError> {
+    let mut answers: Vec<(Vec<Point>, Option<f64>)> = Vec::new();
+    for capacity in 0..=all + 1 {
+        let (found, answer) = collect(query().capacity(capacity as u64), test);
+        let found = ascending(found);
+        prop_assert_eq!(found.len(), capacity.min(all));
+        let mut before = answers.last().into_iter().flat_map(|(points, _)| points);
+        prop_assert!(before.all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
+        match answer.error_bound {
+            Some(bound) => prop_assert!(hausdorff(seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound),
+            None => prop_assert!(found.is_empty(), "{} points and no bound", capacity),
+        }
+        answers.push((found, answer.error_bound));
+    }
+    Ok(answers)
+}
+
+/// More points never have a worse bound; the last one is given.
+fn last_bound(answers: &[(Vec<Point>, Option<f64>)]) -> Result<Option<f64>, TestCaseError> {
+    let mut last: Option<f64> = None;
+    for (points, bound) in answers {
+        prop_assert!(bound.is_some() || last.is_none(), "{} points and no bound any more", points.len());
+        let grows = last.zip(*bound).is_some_and(|(last, bound)| bound > last);
+        prop_assert!(!grows, "{} points: {:?}, then {:?}", points.len(), last, bound);
+        last = *bound;
+    }
+    Ok(last)
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 

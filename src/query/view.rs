@@ -6,7 +6,7 @@
 
 use super::gaps::Gap;
 use crate::geometry::{Camera, Containment, DVec3, Frustum, WorldBox};
-use crate::lattice::{BIAS, BITS, Lattice, LatticeBox, NodeKey};
+use crate::lattice::{BIAS, BITS, Cube, Lattice, LatticeBox, NodeKey};
 use crate::octree::{Metric, Step};
 use crate::store::model::NodeHead;
 use crate::store::{Node, NodeIx, Nodes, StoreError};
@@ -21,7 +21,7 @@ pub struct Selection {
     /// Points of all parts together.
     pub points: u64,
     /// Every visible point of the store has a selected one within this distance, in CRS units; `None` if nothing is
-    /// selected of something.
+    /// selected but something is visible.
     pub error_bound: Option<f64>,
     /// The same in pixels, at the centre of the image.
     pub error_bound_px: Option<f64>,
@@ -95,6 +95,8 @@ pub(crate) struct ViewCut<'a, F> {
     metric: Metric,
     quantum: f64,
     heap: BinaryHeap<Waiting>,
+    /// The cube of the node that was begun first.
+    first: Option<Cube>,
     /// The node whose parts are being taken, its distance, and how many parts are taken.
     current: Option<(Node, f64, usize)>,
     /// The largest bounds of what is left below the threshold for good.
@@ -180,6 +182,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
             metric: Metric::new(lattice.quantum_f64()),
             quantum: lattice.largest_quantum(),
             heap: BinaryHeap::new(),
+            first: None,
             current: None,
             settled: (0.0, 0.0),
             left: Vec::new(),
@@ -259,6 +262,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
                     self.settle(bound, distance);
                     continue;
                 }
+                self.first.get_or_insert(node.cube);
                 self.current = Some((node.clone(), distance, taken + 1));
                 return Ok(Some((node, taken)));
             }
@@ -313,11 +317,13 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
             bounds.1 = bounds.1.max(self.camera.pixels_of_length(bound, distance));
         };
         for waiting in &self.heap {
-            if waiting.node.is_root() {
-                return Ok((None, None));
-            }
-            let cell = waiting.k as i8 + 1 - self.g as i8;
-            include(self.metric.step_bound(cell, 7), waiting.distance);
+            let bound = if waiting.node.is_root() {
+                let Some(first) = self.first.filter(|_| any) else { return Ok((None, None)) };
+                not_begun_root(&self.metric, &waiting.node, first)
+            } else {
+                self.metric.step_bound(waiting.k as i8 + 1 - self.g as i8, 7)
+            };
+            include(bound, waiting.distance);
         }
         if let Some((head, distance, taken)) = &self.current {
             let (distance, taken) = (*distance, *taken);
@@ -388,6 +394,14 @@ fn partly_taken(head: &NodeHead, taken: usize, g: u8, distance: f64) -> Gap {
 fn not_begun(head: &Node, g: u8, distance: f64) -> Gap {
     let cell = (!head.is_root()).then(|| (head.cube.k() + 1).saturating_sub(g));
     Gap { cube: head.cube, layer: head.layer, cell, distance }
+}
+
+/// The bound of a layer of which nothing is there, but a point in the cube `begun`, of another layer: both lie in one cube.
+pub(crate) fn not_begun_root(metric: &Metric, root: &NodeHead, begun: Cube) -> f64 {
+    let k = root.cube.k().max(begun.k());
+    let around = (k..=BITS).find(|&k| root.cube.ancestor(k) == begun.ancestor(k)).unwrap_or(BITS);
+    // No less than what holds once the root is begun.
+    metric.step_bound(around as i8, 7).max(after_parts(metric, root, 0))
 }
 
 /// The bound once the first `taken` parts of a node are there, and of the next nothing for sure.

@@ -47,24 +47,13 @@ proptest! {
             };
             let whole = ascending(collect(detailed(&test), &test).0);
             prop_assert_eq!(&whole, &ascending(collect(detailed(&one), &one).0));
-            let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
-            for capacity in 0..=whole.len() + 1 {
-                let (found, answer) = collect(detailed(&test).capacity(capacity as u64), &test);
-                let found = ascending(found);
-                prop_assert_eq!(found.len(), capacity.min(whole.len()));
-                prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
+            let answers = under_capacities(&test, || detailed(&test), whole.len(), &all)?;
+            last_bound(&answers)?;
+            for (capacity, (found, bound)) in answers.into_iter().enumerate() {
                 let (same, promised) = collect(detailed(&one).capacity(capacity as u64), &one);
-                prop_assert_eq!(&found, &ascending(same), "{} points", capacity);
-                prop_assert_eq!(answer.error_bound, promised.error_bound, "{} points", capacity);
-                match answer.error_bound {
-                    Some(bound) => {
-                        prop_assert!(hausdorff(&all, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
-                        prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
-                        last = Some(bound);
-                    }
-                    None => prop_assert!(found.is_empty() && last.is_none(), "{} points and no bound", capacity),
-                }
-                before = found;
+                prop_assert_eq!(found, ascending(same), "{} points", capacity);
+                // Where nothing may be looked at, the rows of one tree can rule out what those of several leave open.
+                prop_assert!(capacity == 0 || bound == promised.error_bound, "{} points", capacity);
             }
         }
     }
@@ -87,23 +76,7 @@ proptest! {
         let (all, unlimited) = collect(query(), &test);
         prop_assert!(all.iter().all(wanted));
         prop_assert!(unlimited.error_bound.is_some() || all.is_empty());
-        let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
-        for capacity in 0..=all.len() + 1 {
-            let (found, answer) = collect(query().capacity(capacity as u64), &test);
-            let found = ascending(found);
-            prop_assert_eq!(found.len(), capacity.min(all.len()));
-            prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
-            match answer.error_bound {
-                Some(bound) => {
-                    prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
-                    prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
-                    last = Some(bound);
-                }
-                // A layer that has not been begun says nothing of its points.
-                None => prop_assert!(last.is_none(), "{} points and no bound any more", capacity),
-            }
-            before = found;
-        }
+        let last = last_bound(&under_capacities(&test, query, all.len(), &seen)?)?;
         prop_assert_eq!(last, unlimited.error_bound);
         let (finest, answer) = collect(view(&test, 0.0), &test);
         let finest = ascending(finest);
@@ -114,6 +87,20 @@ proptest! {
         let (same, _) = collect(view(&one, 0.0), &one);
         let seen_of = |found: &[Point]| seen.iter().filter(|p| found.contains(p)).copied().collect::<Vec<_>>();
         prop_assert_eq!(seen_of(&finest), seen_of(&same));
+    }
+
+    #[test]
+    fn the_policy_of_distance_nests_and_keeps_its_promise_over_layers(
+        layers in layered(), params in params(), eye in eye(), min_ratio in prop::sample::select(vec![0.0, 0.001, 0.3]),
+        split in prop::option::of(0.5_f64..30.0),
+    ) {
+        let test = store(&layers, params, None);
+        let camera = camera(&test, eye, 300);
+        let policy = Policy::Distance(DistancePolicy { min_ratio, split, ..DistancePolicy::default() });
+        let query = || Query::new().with_scans(true).view(camera.clone(), 1.0).policy(policy);
+        let (all, whole) = collect(query(), &test);
+        prop_assert_eq!(whole.error_bound, Some(0.0));
+        under_capacities(&test, query, all.len(), &visible(&test, &camera))?;
     }
 
     #[test]

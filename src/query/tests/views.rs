@@ -36,21 +36,7 @@ proptest! {
         let seen = visible(&test, &camera);
         let query = || Query::new().with_scans(true).view(camera.clone(), 1.0);
         let (all, unlimited) = collect(query(), &test);
-        let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
-        for capacity in 0..=all.len() + 1 {
-            let (found, answer) = collect(query().capacity(capacity as u64), &test);
-            let found = ascending(found);
-            prop_assert_eq!(found.len(), capacity.min(all.len()));
-            prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points", capacity);
-            if let Some(bound) = answer.error_bound {
-                prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points", capacity);
-                prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
-                last = Some(bound);
-            } else {
-                prop_assert!(last.is_none() && found.is_empty() || test.points.is_empty());
-            }
-            before = found;
-        }
+        let last = last_bound(&under_capacities(&test, query, all.len(), &seen)?)?;
         prop_assert_eq!(last, unlimited.error_bound);
         // Fully refined, everything visible is there.
         let (finest, complete) = collect(Query::new().with_scans(true).view(camera.clone(), 0.0), &test);
@@ -69,22 +55,8 @@ proptest! {
         let seen: Vec<Point> = visible(&test, &camera).into_iter().filter(|p| matches(p)).collect();
         let (all, _) = collect(asked.query(&test).view(camera.clone(), 1.0), &test);
         prop_assert!(all.iter().all(&matches));
-        let (mut before, mut last): (Vec<Point>, Option<f64>) = (Vec::new(), None);
-        for capacity in 0..=all.len() + 1 {
-            let (found, answer) = collect(asked.query(&test).view(camera.clone(), 1.0).capacity(capacity as u64), &test);
-            let found = ascending(found);
-            prop_assert_eq!(found.len(), capacity.min(all.len()));
-            prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()));
-            match answer.error_bound {
-                Some(bound) => {
-                    prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
-                    prop_assert!(last.is_none_or(|l| bound <= l), "{} points: {:?}, then {}", capacity, last, bound);
-                    last = Some(bound);
-                }
-                None => prop_assert!(found.is_empty() && last.is_none(), "{} points and no bound", capacity),
-            }
-            before = found;
-        }
+        let view = || asked.query(&test).view(camera.clone(), 1.0);
+        last_bound(&under_capacities(&test, view, all.len(), &seen)?)?;
         let (finest, answer) = collect(asked.query(&test).view(camera, 0.0), &test);
         let finest = ascending(finest);
         prop_assert!(seen.iter().all(|p| finest.binary_search(p).is_ok()));
@@ -112,18 +84,7 @@ proptest! {
         prop_assert_eq!(whole.error_bound, Some(0.0));
         let all = ascending(all);
         prop_assert!(seen.iter().all(|p| all.binary_search(p).is_ok()));
-        let mut before: Vec<Point> = Vec::new();
-        for capacity in 0..=all.len() + 1 {
-            let (found, answer) = collect(query().capacity(capacity as u64), &test);
-            let found = ascending(found);
-            prop_assert_eq!(found.len(), capacity.min(all.len()));
-            prop_assert!(before.iter().all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
-            match answer.error_bound {
-                Some(bound) => prop_assert!(hausdorff(&seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound),
-                None => prop_assert!(found.len() < test.points.len()),
-            }
-            before = found;
-        }
+        under_capacities(&test, query, all.len(), &seen)?;
     }
 
     #[test]

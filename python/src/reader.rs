@@ -171,16 +171,8 @@ impl Reader {
     /// JSON: what `esker query --json` prints.
     fn summary(&self, py: Python<'_>, options: Options) -> PyResult<String> {
         let (snapshot, query, cancel) = self.asked(py, &options)?;
-        let query = query.with_scans(true);
-        let work = || {
-            let mut summary = query.summary(&snapshot)?;
-            let answer = query.run(&snapshot, |batch| {
-                summary.add(&batch);
-                ControlFlow::Continue(())
-            })?;
-            Ok((answer, summary.finish()))
-        };
-        let (answer, summary) = found(interruptible(py, || cancel.cancel(), quietly, work)?)?;
+        let summary = interruptible(py, || cancel.cancel(), quietly, || query.summary(&snapshot))?;
+        let (answer, summary) = found(summary)?;
         let mut value = serde_json::to_value(&answer).map_err(|e| misuse(e.to_string()))?;
         value["attributes"] = serde_json::to_value(&summary).map_err(|e| misuse(e.to_string()))?;
         json(&value)

@@ -165,7 +165,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     }
     match target {
         None => {
-            let (answer, summary) = summarise(&query, &snapshot)?;
+            let (answer, summary) = query.summary(&snapshot)?;
             warn(arguments, &snapshot, &region, &answer)?;
             if arguments.json {
                 let mut value = serde_json::to_value(&answer)?;
@@ -260,16 +260,6 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
         );
     }
     Ok(())
-}
-
-fn summarise(query: &Query, snapshot: &Snapshot) -> anyhow::Result<(Answer, Vec<AttributeSummary>)> {
-    let query = query.clone().with_scans(true);
-    let mut summary = query.summary(snapshot)?;
-    let answer = query.run(snapshot, |batch| {
-        summary.add(&batch);
-        ControlFlow::Continue(())
-    })?;
-    Ok((answer, summary.finish()))
 }
 
 fn print_summary(answer: &Answer, summary: &[AttributeSummary]) -> std::io::Result<()> {

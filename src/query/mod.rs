@@ -53,6 +53,6 @@ pub use output::OutputForm;
 pub use policy::{CubeDistance, DistancePolicy, Policy};
 pub use region::{LatticeRegion, Polygons, Region};
 pub use request::{Attributes, Query};
-pub use summary::{AttributeSummary, Summary};
+pub use summary::AttributeSummary;
 pub use view::{SelectedPart, Selection, select_view};
 pub use view_parts::{PartId, PartPoints, Take, ViewParts, Wanted, WantedNode, WantedPart};

@@ -8,7 +8,7 @@ use super::plan::{Plan, Prospect, Scope};
 use super::seen;
 use super::stream::{Source, Stream};
 use super::task::{PieceTask, Task, by_part, count, points, work};
-use super::{Query, QueryError, Region, Summary};
+use super::{Query, QueryError, Region};
 use crate::points::Batch;
 use crate::store::model::PartHead;
 use crate::store::{Node, Snapshot};
@@ -177,21 +177,6 @@ impl Query {
             }
         }
         Ok((all, batches.answer()))
-    }
-
-    /// An empty summary for the batches of this query. They must carry their scans ([`Query::with_scans`]) if some scan
-    /// lacks an attribute.
-    ///
-    /// # Errors
-    ///
-    /// As [`Query::run`].
-    pub fn summary(&self, snapshot: &Snapshot) -> Result<Summary, QueryError> {
-        let plan = Plan::new(self, snapshot)?;
-        let scans = snapshot.scans();
-        Ok(Summary::new(&plan.lattice, &plan.columns, |column| {
-            let having: Vec<_> = scans.iter().filter(|s| s.attributes.contains(&column.id)).map(|s| s.id).collect();
-            (having.len() < scans.len()).then_some(having)
-        }))
     }
 
     /// Decides what is to be read. When the points are only counted, those that are known already are in the answer.

@@ -1,9 +1,18 @@
 //! Statistics of an answer's attributes: what `query` says when nothing is written.
+//!
+//! Each batch is summed up on the thread that decoded it; what comes out is joined in the order of the batches, so it is
+//! the same on any number of threads.
 
-use crate::lattice::Lattice;
+use super::plan::Plan;
+use super::{Answer, Query, QueryError};
+use crate::lattice::{BIAS, Lattice};
 use crate::points::{Attribute, Batch, Column};
+use crate::store::Snapshot;
 use crate::store::model::{ScanId, StoredAttribute};
+use crate::with_column;
 use serde::Serialize;
+use std::ops::ControlFlow;
+use std::sync::Arc;
 
 /// Least, greatest and mean value of one attribute over the points that have it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -23,16 +32,159 @@ pub struct AttributeSummary {
     pub mean: Option<f64>,
 }
 
-/// Gathers the summaries of the batches of an answer.
-#[derive(Clone, Debug)]
-pub struct Summary {
+impl Query {
+    /// The answer without its points, and the statistics of `X`, `Y`, `Z` and the attributes asked for over them.
+    ///
+    /// # Errors
+    ///
+    /// As [`Query::run`].
+    pub fn summary(&self, snapshot: &Snapshot) -> Result<(Answer, Vec<AttributeSummary>), QueryError> {
+        let plan = Plan::new(self, snapshot)?;
+        let scans = snapshot.scans();
+        let form = Form::new(&plan.lattice, &plan.columns, |column| {
+            let having: Vec<_> = scans.iter().filter(|s| s.attributes.contains(&column.id)).map(|s| s.id).collect();
+            (having.len() < scans.len()).then_some(having)
+        });
+        // Where some scan lacks an attribute it must be known which scan a point is of.
+        let needs_scans = form.attributes.iter().any(|(_, having)| having.is_some());
+        let query = self.clone().with_scans(self.with_scans || needs_scans);
+        let form = Arc::new(form);
+        let here = form.clone();
+        let mut summary = form.empty();
+        let answer = query.run_mapped(
+            snapshot,
+            move |batch| here.of(&batch),
+            |one| {
+                summary.add(&one);
+                ControlFlow::Continue(())
+            },
+        )?;
+        Ok((answer, form.finish(&summary)))
+    }
+}
+
+/// What is summed up.
+struct Form {
     lattice: Lattice,
-    axes: [Running; 3],
-    columns: Vec<(Attribute, Option<Vec<ScanId>>, Running)>,
+    /// The scans that have an attribute; `None`: all.
+    attributes: Vec<(Attribute, Option<Vec<ScanId>>)>,
+}
+
+/// The statistics of some points.
+struct Summary {
+    axes: [Axis; 3],
+    columns: Vec<Running>,
+}
+
+impl Form {
+    fn new(
+        lattice: &Lattice,
+        attributes: &[StoredAttribute],
+        scans_having: impl Fn(&StoredAttribute) -> Option<Vec<ScanId>>,
+    ) -> Self {
+        let attributes = attributes.iter().map(|a| (a.attribute.clone(), scans_having(a))).collect();
+        Self { lattice: lattice.clone(), attributes }
+    }
+
+    fn empty(&self) -> Summary {
+        Summary { axes: [Axis::EMPTY; 3], columns: vec![Running::EMPTY; self.attributes.len()] }
+    }
+
+    /// Of a batch; it has its scans if some scan lacks an attribute.
+    fn of(&self, batch: &Batch) -> Summary {
+        let positions = &batch.positions;
+        let axes = [&positions.x, &positions.y, &positions.z].map(|values| Axis::of(values));
+        let column = |((attribute, having), column): (&(Attribute, Option<Vec<ScanId>>), &Column)| {
+            let running = if having.is_none() && attribute.no_data.is_none() {
+                with_column!(column, v => Running::of(v.len(), |i| v[i] as f64))
+            } else {
+                let there = not_null(attribute, having.as_deref(), column, &batch.scans);
+                with_column!(column, v => Running::of(there.len(), |i| v[there[i]] as f64))
+            };
+            attribute.scaling.map_or(running, |s| running.scaled(s.scale, s.offset))
+        };
+        Summary { axes, columns: self.attributes.iter().zip(&batch.columns).map(column).collect() }
+    }
+
+    /// X, Y, Z, then the attributes.
+    fn finish(&self, summary: &Summary) -> Vec<AttributeSummary> {
+        let axes = (0..3).map(|axis| {
+            let running = summary.axes[axis].in_world(&self.lattice, axis);
+            running.summary(["X", "Y", "Z"][axis], "coordinate")
+        });
+        let attributes = self.attributes.iter().zip(&summary.columns);
+        axes.chain(attributes.map(|((a, _), running)| running.summary(&a.name, a.ty.word()))).collect()
+    }
+}
+
+impl Summary {
+    fn add(&mut self, next: &Self) {
+        self.axes.iter_mut().zip(&next.axes).for_each(|(a, b)| a.add(b));
+        self.columns.iter_mut().zip(&next.columns).for_each(|(a, b)| a.add(b));
+    }
+}
+
+/// The points that have a value.
+fn not_null(attribute: &Attribute, having: Option<&[ScanId]>, column: &Column, scans: &[ScanId]) -> Vec<usize> {
+    let no_data = attribute.no_data.map(|mut bytes| {
+        bytes[attribute.ty.size()..].fill(0);
+        bytes
+    });
+    let lacking = |having: &[ScanId], i: usize| scans.get(i).is_some_and(|scan| having.binary_search(scan).is_err());
+    let is_null = |i: usize| having.is_some_and(|h| lacking(h, i)) || no_data.is_some_and(|n| column.raw(i) == n);
+    (0..column.len()).filter(|&i| !is_null(i)).collect()
+}
+
+/// Lattice indices along an axis: their sum is exact.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    count: u64,
+    min: u64,
+    max: u64,
+    /// Of the steps from the middle of the lattice.
+    sum: i128,
+}
+
+impl Axis {
+    const EMPTY: Self = Self { count: 0, min: u64::MAX, max: 0, sum: 0 };
+
+    fn of(indices: &[u64]) -> Self {
+        let mut axis = Self::EMPTY;
+        // 2^12 steps of 49 bits.
+        for run in indices.chunks(1 << 12) {
+            let (mut min, mut max, mut sum) = (u64::MAX, 0, 0_i64);
+            for &index in run {
+                min = min.min(index);
+                max = max.max(index);
+                sum += index as i64 - BIAS;
+            }
+            axis.add(&Self { count: run.len() as u64, min, max, sum: sum.into() });
+        }
+        axis
+    }
+
+    fn add(&mut self, next: &Self) {
+        self.count += next.count;
+        self.min = self.min.min(next.min);
+        self.max = self.max.max(next.max);
+        self.sum += next.sum;
+    }
+
+    fn in_world(&self, lattice: &Lattice, axis: usize) -> Running {
+        if self.count == 0 {
+            return Running::EMPTY;
+        }
+        let count = i128::from(self.count);
+        let (whole, rest) = (self.sum.div_euclid(count), self.sum.rem_euclid(count));
+        let of_rest = rest as f64 / self.count as f64 * lattice.quantum_f64()[axis];
+        let mean = lattice.world_on_axis(axis, (whole + i128::from(BIAS)) as u64) + of_rest;
+        let [min, max] = [self.min, self.max].map(|index| lattice.world_on_axis(axis, index));
+        Running { count: self.count, min, max, mean }
+    }
 }
 
 /// A mean that neither overflows nor loses small numbers after many.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Running {
     count: u64,
     min: f64,
@@ -43,14 +195,47 @@ struct Running {
 impl Running {
     const EMPTY: Self = Self { count: 0, min: f64::INFINITY, max: f64::NEG_INFINITY, mean: 0.0 };
 
-    fn add(&mut self, value: f64) {
-        if value.is_nan() {
+    /// Of so many values, those that are NaN left out.
+    fn of(values: usize, value: impl Fn(usize) -> f64) -> Self {
+        /// Values whose plain sum is taken, if it is finite.
+        const RUN: usize = 1 << 10;
+        let mut all = Self::EMPTY;
+        for first in (0..values).step_by(RUN) {
+            let (mut count, mut min, mut max, mut sum) = (0_u32, f64::INFINITY, f64::NEG_INFINITY, 0.0);
+            let run = first..values.min(first + RUN);
+            for value in run.clone().map(&value) {
+                // NaN is neither below nor above, and adds nothing.
+                count += u32::from(!value.is_nan());
+                min = min.min(value);
+                max = max.max(value);
+                sum += if value.is_nan() { 0.0 } else { value };
+            }
+            let count = u64::from(count);
+            if sum.is_finite() {
+                all.add(&Self { count, min, max, mean: sum / count.max(1) as f64 });
+            } else {
+                let one = |value: f64| Self { count: 1, min: value, max: value, mean: value };
+                run.map(&value).filter(|v| !v.is_nan()).for_each(|value| all.add(&one(value)));
+            }
+        }
+        all
+    }
+
+    fn add(&mut self, next: &Self) {
+        if next.count == 0 {
             return;
         }
-        self.count += 1;
-        self.min = self.min.min(value);
-        self.max = self.max.max(value);
-        self.mean += (value - self.mean) / self.count as f64;
+        self.count += next.count;
+        self.min = self.min.min(next.min);
+        self.max = self.max.max(next.max);
+        // Halves, so that a difference of the greatest numbers is one.
+        let half = next.mean / 2.0 - self.mean / 2.0;
+        self.mean += half * (next.count as f64 / self.count as f64) * 2.0;
+    }
+
+    fn scaled(self, scale: f64, offset: f64) -> Self {
+        let [a, b, mean] = [self.min, self.max, self.mean].map(|v| v * scale + offset);
+        if self.count == 0 { Self::EMPTY } else { Self { min: a.min(b), max: a.max(b), mean, ..self } }
     }
 
     fn summary(&self, name: &str, ty: &'static str) -> AttributeSummary {
@@ -60,57 +245,12 @@ impl Running {
     }
 }
 
-impl Summary {
-    /// For batches with these attributes; `scans_having` says which scans have an attribute, `None` for all.
-    pub(crate) fn new(
-        lattice: &Lattice,
-        attributes: &[StoredAttribute],
-        scans_having: impl Fn(&StoredAttribute) -> Option<Vec<ScanId>>,
-    ) -> Self {
-        let columns = attributes.iter().map(|a| (a.attribute.clone(), scans_having(a), Running::EMPTY));
-        Self { lattice: lattice.clone(), axes: [Running::EMPTY; 3], columns: columns.collect() }
-    }
-
-    /// Takes in a batch. If some scan lacks an attribute, the batch must have its scans.
-    pub fn add(&mut self, batch: &Batch) {
-        let positions = &batch.positions;
-        for (axis, values) in [&positions.x, &positions.y, &positions.z].into_iter().enumerate() {
-            let running = &mut self.axes[axis];
-            values.iter().for_each(|&v| running.add(self.lattice.world_on_axis(axis, v)));
-        }
-        for ((attribute, having, running), column) in self.columns.iter_mut().zip(&batch.columns) {
-            let no_data = attribute.no_data.map(|mut bytes| {
-                bytes[attribute.ty.size()..].fill(0);
-                bytes
-            });
-            for i in 0..column.len() {
-                let lacking =
-                    |having: &Vec<ScanId>| batch.scans.get(i).is_some_and(|scan| having.binary_search(scan).is_err());
-                if having.as_ref().is_some_and(lacking) || no_data.is_some_and(|n| column.raw(i) == n) {
-                    continue;
-                }
-                running.add(value(attribute, column, i));
-            }
-        }
-    }
-
-    /// X, Y, Z, then the attributes.
-    pub fn finish(&self) -> Vec<AttributeSummary> {
-        let axes = ["X", "Y", "Z"].into_iter().zip(&self.axes).map(|(name, axis)| axis.summary(name, "coordinate"));
-        axes.chain(self.columns.iter().map(|(a, _, running)| running.summary(&a.name, a.ty.word()))).collect()
-    }
-}
-
-fn value(attribute: &Attribute, column: &Column, i: usize) -> f64 {
-    let stored = column.as_f64(i);
-    attribute.scaling.map_or(stored, |s| stored * s.scale + s.offset)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lattice::{BIAS, LatticePoint};
+    use crate::lattice::LatticePoint;
     use crate::points::{Positions, ScalarType, Scaling};
+    use proptest::prelude::*;
 
     #[test]
     fn nulls_and_nan_are_left_out() {
@@ -121,17 +261,60 @@ mod tests {
         let stored: Vec<_> =
             (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
         let lattice = Lattice::uniform(0.25).unwrap();
-        let mut summary = Summary::new(&lattice, &stored, |a| (a.id == 2).then(|| vec![7]));
+        let form = Form::new(&lattice, &stored, |a| (a.id == 2).then(|| vec![7]));
         let positions: Positions = (0..4).map(|i| LatticePoint([BIAS as u64 + i; 3])).collect();
         let columns = vec![Column::I16(vec![4, -1, 8, 100]), Column::F64(vec![1.0, f64::NAN, 3.0, 8.0])];
-        summary.add(&Batch { attributes: attributes.into(), positions, scans: vec![7, 7, 7, 5], columns });
-        let found = summary.finish();
+        let mut summary = form.empty();
+        summary.add(&form.of(&Batch { attributes: attributes.into(), positions, scans: vec![7, 7, 7, 5], columns }));
+        let found = form.finish(&summary);
         let numbers = |i: usize| (found[i].count, found[i].min, found[i].max, found[i].mean);
         assert_eq!(numbers(0), (4, Some(0.0), Some(0.75), Some(0.375)));
         assert_eq!(numbers(3), (2, Some(3.0), Some(5.0), Some(4.0)));
         assert_eq!(numbers(4), (3, Some(1.0), Some(8.0), Some(4.0)));
         assert_eq!(found[3].ty, "i16");
-        let none = Summary::new(&lattice, &stored, |_| None).finish();
+        let none = form.finish(&form.empty());
         assert_eq!((none[0].count, none[0].mean), (0, None));
+    }
+
+    #[test]
+    fn sums_that_overflow_have_their_mean_all_the_same() {
+        let of = |values: &[f64]| Running::of(values.len(), |i| values[i]);
+        let large = of(&[f64::MAX; 5000]);
+        assert_eq!((large.count, large.mean, large.max), (5000, f64::MAX, f64::MAX));
+        let mut both = large;
+        both.add(&of(&[-f64::MAX; 5000]));
+        assert!(both.mean.abs() < f64::MAX * 1e-12, "{both:?}");
+        // Infinite values have no mean, and the least is told.
+        let infinite = of(&[1.0, f64::INFINITY, 3.0]).summary("a", "f64");
+        assert_eq!((infinite.count, infinite.min, infinite.max, infinite.mean), (3, Some(1.0), None, None));
+        assert_eq!(of(&[f64::NAN; 9]), Running::EMPTY);
+    }
+
+    proptest! {
+        #[test]
+        fn however_they_are_cut_the_statistics_are_those_of_all_values(
+            values in prop::collection::vec(prop_oneof![Just(f64::NAN), -1e6..1e6], 0..5000), cut in 0.0..1.0,
+        ) {
+            let of = |values: &[f64]| Running::of(values.len(), |i| values[i]);
+            let (head, tail) = values.split_at((values.len() as f64 * cut) as usize);
+            let mut joined = of(head);
+            joined.add(&of(tail));
+            let numbers: Vec<f64> = values.iter().copied().filter(|v| !v.is_nan()).collect();
+            prop_assert_eq!(joined.count, numbers.len() as u64);
+            prop_assert_eq!(joined.min, numbers.iter().copied().fold(f64::INFINITY, f64::min));
+            prop_assert_eq!(joined.max, numbers.iter().copied().fold(f64::NEG_INFINITY, f64::max));
+            let mean = numbers.iter().sum::<f64>() / numbers.len().max(1) as f64;
+            prop_assert!((joined.mean - mean).abs() <= 1e-9, "{} and {}", joined.mean, mean);
+        }
+
+        #[test]
+        fn means_of_positions_are_exact_at_both_ends_of_the_lattice(
+            indices in prop::collection::vec(prop_oneof![0..50_u64, (1 << 48) - 50..1_u64 << 48], 1..5000),
+        ) {
+            let axis = Axis::of(&indices).in_world(&Lattice::uniform(1.0).unwrap(), 0);
+            let sum: i128 = indices.iter().map(|&i| i128::from(i) - i128::from(BIAS)).sum();
+            let mean = sum as f64 / indices.len() as f64;
+            prop_assert!((axis.mean - mean).abs() <= mean.abs() * 1e-15, "{} and {}", axis.mean, mean);
+        }
     }
 }

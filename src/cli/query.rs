@@ -93,9 +93,18 @@ pub(super) struct Arguments {
     /// Print the number of points, nothing else.
     #[arg(long, conflicts_with_all = ["output", "json"])]
     count: bool,
-    /// Say of every node why it is taken, tested, refused or cut, instead of giving points.
-    #[arg(long, conflicts_with_all = ["output", "count"])]
-    explain: bool,
+    /// Say what becomes of the nodes, and why each of the coarsest is taken, tested, refused or cut, instead of giving
+    /// points; with --explain=all of every node.
+    #[arg(
+        long,
+        value_enum,
+        value_name = "WHICH",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "coarsest",
+        conflicts_with_all = ["output", "count"]
+    )]
+    explain: Option<Explain>,
     /// One JSON object on stdout.
     #[arg(long)]
     json: bool,
@@ -105,6 +114,23 @@ pub(super) struct Arguments {
 pub(super) enum Format {
     Las,
     Laz,
+/// Of which nodes an explanation has a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Explain {
+    Coarsest,
+    All,
+}
+
+impl Explain {
+    /// The most lines: about what a terminal shows.
+    fn most(self) -> usize {
+        match self {
+            Self::Coarsest => 32,
+            Self::All => usize::MAX,
+        }
+    }
+}
+
     Ply,
     Csv,
     Npy,
@@ -147,13 +173,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
     let query = query(arguments, region.clone())?;
-    if arguments.explain {
+    if let Some(which) = arguments.explain {
         let explanation = query.explain(&snapshot)?;
         warn(arguments, &snapshot, &region, &explanation.answer)?;
         if arguments.json {
             output::json(&serde_json::to_value(&explanation)?)?;
         } else {
-            output::line(output::clean_lines(&explanation.to_string()))?;
+            output::line(output::clean_lines(&explanation.text(which.most())))?;
+            if explanation.nodes.len() > which.most() {
+                eprintln!("esker: --explain=all lists all nodes");
+            }
         }
         return Ok(Outcome::Done);
     }

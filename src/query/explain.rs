@@ -10,8 +10,10 @@ use crate::lattice::LatticeBox;
 use crate::store::{Node, NodeIx, Snapshot, StoreError};
 use serde::Serialize;
 use std::collections::HashMap;
-use std::fmt;
 use std::sync::Arc;
+
+/// Why a node is refused though what lies below it is not.
+pub(super) const OWN_POINTS_DO_NOT_MATCH: &str = "none of its own points can match; those below may";
 
 /// What becomes of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -191,13 +193,9 @@ fn explain_region(
                 Some(&n) => {
                     explained(plan, head, Verdict::Taken, Some(n), format!("{n} of the first points of the sequence"))
                 }
-                None if own == Prospect::Nothing => explained(
-                    plan,
-                    head,
-                    Verdict::Refused,
-                    Some(0),
-                    "none of its own points can match; those below may".into(),
-                ),
+                None if own == Prospect::Nothing => {
+                    explained(plan, head, Verdict::Refused, Some(0), OWN_POINTS_DO_NOT_MATCH.into())
+                }
                 None => {
                     explained(plan, head, Verdict::Cut, Some(0), "its points come after the capacity is used".into())
                 }
@@ -211,13 +209,9 @@ fn explain_region(
                 explained(plan, head, Verdict::Taken, taken, reason.into())
             }
             (None, Prospect::Some) => explained(plan, head, Verdict::Tested, None, why_tested(plan, head)),
-            (None, Prospect::Nothing) => explained(
-                plan,
-                head,
-                Verdict::Refused,
-                Some(0),
-                "none of its own points can match; those below may".into(),
-            ),
+            (None, Prospect::Nothing) => {
+                explained(plan, head, Verdict::Refused, Some(0), OWN_POINTS_DO_NOT_MATCH.into())
+            }
         };
         listed.push(entry);
         let first = open.len();
@@ -254,42 +248,4 @@ fn why_tested(plan: &Plan, head: &Node) -> String {
         reasons.push("some points may be of other scans");
     }
     reasons.join(", ")
-}
-
-impl fmt::Display for Explanation {
-    /// A table, one node a line.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            f,
-            "{:20} {:>12} {:>12} {:>12} {:>12}  {:8} why",
-            "node", "spacing", "points", "with below", "taken", ""
-        )?;
-        for n in &self.nodes {
-            let layer = if n.layer == 0 { String::new() } else { format!(" (layer {})", n.layer) };
-            let verdict = match n.verdict {
-                Verdict::Taken => "taken",
-                Verdict::Tested => "tested",
-                Verdict::Refused => "refused",
-                Verdict::Cut => "cut",
-            };
-            let taken = n.taken.map_or_else(|| "?".to_owned(), |t| t.to_string());
-            writeln!(
-                f,
-                "{:20} {:>12} {:>12} {:>12} {:>12}  {verdict:8} {}",
-                n.node.clone() + &layer,
-                format!("{:.6}", n.spacing).trim_end_matches('0').trim_end_matches('.'),
-                n.points,
-                n.subtree_points,
-                taken,
-                n.reason
-            )?;
-        }
-        let bound = self.answer.error_bound.map_or_else(|| "none can be given".to_owned(), |b| b.to_string());
-        write!(
-            f,
-            "{} nodes looked at, {} points in the answer, error bound {bound}",
-            self.nodes.len(),
-            self.answer.points
-        )
-    }
 }

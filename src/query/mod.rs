@@ -14,6 +14,7 @@ mod density;
 mod detail;
 mod error;
 mod explain;
+mod explain_text;
 mod extent;
 mod filter;
 mod gaps;

@@ -111,8 +111,14 @@ proptest! {
         let open = explained.nodes.iter().any(|n| n.taken.is_none());
         prop_assert!(if open { sum <= answer.points } else { sum == answer.points }, "{} of {:?}", sum, explained);
         prop_assert!(explained.nodes.iter().all(|n| !n.reason.is_empty() && n.taken.is_none_or(|t| t <= n.points)));
+        // A line for each node after the sums, which account for every node, too.
         let text = explained.to_string();
-        prop_assert_eq!(text.lines().count(), explained.nodes.len() + 2);
+        let (sums, table) = text.split_once("\n\n").unwrap_or((&text, ""));
+        prop_assert_eq!(table.lines().count(), if explained.nodes.is_empty() { 0 } else { explained.nodes.len() + 1 });
+        let nodes = |line: &str| line.split_whitespace().nth(1).and_then(|n| n.parse().ok()).unwrap_or(0);
+        prop_assert_eq!(sums.lines().skip(1).map(nodes).sum::<usize>(), explained.nodes.len());
+        let few = explained.text(3);
+        prop_assert_eq!(few.lines().count(), text.lines().count().min(sums.lines().count() + 6), "{}", few);
     }
 }
 

@@ -1,6 +1,7 @@
 //! An out-of-core point store: scans in, one SQLite file as a layered octree, exact regions and levels of detail out.
 
 pub mod codec;
+pub mod export;
 pub mod formats;
 pub mod generate;
 pub mod geometry;

@@ -12,7 +12,6 @@ mod interrupt;
 mod merge;
 mod nearest;
 mod output;
-mod output_plan;
 mod progress;
 mod query;
 mod region;
@@ -20,7 +19,6 @@ mod remove;
 #[cfg(feature = "render")]
 mod render;
 mod replace;
-mod scan_frame;
 mod scans;
 mod values;
 mod verify;
@@ -29,6 +27,7 @@ mod view;
 mod visibility;
 mod which;
 
+use crate::export::ExportError;
 use crate::ingest::IngestError;
 use crate::query::QueryError;
 use clap::{Parser, Subcommand};
@@ -127,4 +126,5 @@ pub fn main() -> ExitCode {
 fn is_interrupted(error: &anyhow::Error) -> bool {
     error.downcast_ref::<IngestError>().is_some_and(|e| matches!(e, IngestError::Interrupted))
         || error.downcast_ref::<QueryError>().is_some_and(|e| matches!(e, QueryError::Cancelled))
+        || error.downcast_ref::<ExportError>().is_some_and(|e| matches!(e, ExportError::Query(QueryError::Cancelled)))
 }

@@ -1,9 +1,9 @@
 //! `esker nearest`: the neighbours of points.
 
-use super::output_plan::plan;
 use super::query::{Format, format};
 use super::which::{Which, with_attributes};
 use super::{Outcome, output, values};
+use crate::export::plan;
 use crate::formats::{CreateOptions, OutputFormat, create, create_standard_output};
 use crate::points::{Attribute, Column, ScalarType};
 use crate::query::Neighbors;

@@ -1,21 +1,15 @@
 //! `esker query`: points out, by region, filter and detail.
 
-mod split;
-
-use super::output_plan::{Planned, deepen, plan};
-use super::scan_frame::ScanFrame;
 use super::which::{Which, with_attributes};
 use super::{Outcome, output, values};
-use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
+use crate::export::{self, ExportOptions, Exported, Target};
+use crate::formats::OutputFormat;
 use crate::geometry::Camera;
-use crate::points::Attribute;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
 use crate::store::{Limits, Snapshot, Store, WorldBounds};
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::{Args, ValueEnum};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Takes points out of a store: exactly those asked for, at the detail asked for, with the error stated.
 ///
@@ -114,6 +108,12 @@ pub(super) struct Arguments {
 pub(super) enum Format {
     Las,
     Laz,
+    Ply,
+    Csv,
+    Npy,
+    Npz,
+}
+
 /// Of which nodes an explanation has a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Explain {
@@ -131,22 +131,34 @@ impl Explain {
     }
 }
 
-    Ply,
-    Csv,
-    Npy,
-    Npz,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum SplitBy {
     Scan,
     Class,
 }
 
+impl From<SplitBy> for export::SplitBy {
+    fn from(by: SplitBy) -> Self {
+        match by {
+            SplitBy::Scan => Self::Scan,
+            SplitBy::Class => Self::Class,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Frame {
     World,
     Scan,
+}
+
+impl From<Frame> for export::Frame {
+    fn from(frame: Frame) -> Self {
+        match frame {
+            Frame::World => Self::World,
+            Frame::Scan => Self::Scan,
+        }
+    }
 }
 
 impl From<Format> for OutputFormat {
@@ -166,9 +178,6 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let target =
         arguments.output.as_deref().map(|path| Ok::<_, anyhow::Error>((path, format(path, arguments.format)?)));
     let target = target.transpose()?;
-    if arguments.split_by.is_some() && target.is_some_and(|(path, _)| path == Path::new("-")) {
-        bail!("--split-by writes several files; give -o a file name");
-    }
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
@@ -205,30 +214,33 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             }
         }
         Some((path, format)) => {
-            let Some(by) = arguments.split_by else {
-                let answer = write(arguments, &snapshot, &query, path, format)?;
-                warn(arguments, &snapshot, &region, &answer)?;
-                report(arguments, path, &answer)?;
-                return Ok(Outcome::Done);
+            let target = if path == Path::new("-") { Target::StandardOutput } else { Target::File(path) };
+            let options = ExportOptions {
+                format: Some(format),
+                scale: arguments.scale,
+                frame: arguments.frame.into(),
+                split: arguments.split_by.map(Into::into),
+                force: arguments.force,
             };
-            let (files, answer) = split::split(arguments, &snapshot, &query, path, format, by)?;
+            let Exported { answer, files, notes } = export::export(&snapshot, &query, target, &options, |_| {})?;
+            for note in notes {
+                eprintln!("esker: {}", output::clean(&note));
+            }
             warn(arguments, &snapshot, &region, &answer)?;
-            report_files(arguments, &files, &answer)?;
+            if arguments.split_by.is_some() {
+                report_files(arguments, &files, &answer)?;
+            } else {
+                report(arguments, path, &answer)?;
+            }
         }
     }
     Ok(Outcome::Done)
 }
 
 pub(super) fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
-    if let Some(format) = given {
-        return Ok(format.into());
-    }
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    OutputFormat::of_extension(ending).with_context(|| {
-        format!(
-            "{}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply, .csv, .npy or .npz, or --format",
-            path.display()
-        )
+    Ok(match given {
+        Some(format) => format.into(),
+        None => export::format_of(path)?,
     })
 }
 
@@ -355,75 +367,4 @@ fn report_files(arguments: &Arguments, files: &[(PathBuf, u64)], answer: &Answer
     }
     output::line(format_args!("{} points in all, error bound {}", output::grouped(answer.points), bound(answer)))?;
     Ok(())
-}
-
-/// What is decided of a file before its first point.
-struct Output {
-    attributes: Arc<[Attribute]>,
-    planned: Planned,
-    frame: Option<ScanFrame>,
-}
-
-/// Begins a file for the answer to a query.
-fn output_of(
-    arguments: &Arguments,
-    snapshot: &Snapshot,
-    query: &Query,
-    path: &Path,
-    format: OutputFormat,
-) -> anyhow::Result<(Output, Box<dyn PointWriter>)> {
-    let form = query.output_form(snapshot)?;
-    let frame = (arguments.frame == Frame::Scan).then(|| ScanFrame::of(snapshot, &form)).transpose()?;
-    let mut planned = plan(snapshot, &form, arguments.attributes.is_empty(), arguments.scale)?;
-    if let Some(frame) = &frame {
-        frame.plan(&mut planned, arguments.scale)?;
-    }
-    for note in &planned.notes {
-        eprintln!("esker: {note}");
-    }
-    let options = CreateOptions {
-        force: arguments.force,
-        standard_gps_time: planned.standard_gps_time,
-        ..CreateOptions::default()
-    };
-    let writer = if path == Path::new("-") {
-        create_standard_output(format, &planned.plan, &options)?
-    } else {
-        create(path, format, &planned.plan, &options)?
-    };
-    Ok((Output { attributes: form.attributes, planned, frame }, writer))
-}
-
-fn write(
-    arguments: &Arguments,
-    snapshot: &Snapshot,
-    query: &Query,
-    path: &Path,
-    format: OutputFormat,
-) -> anyhow::Result<Answer> {
-    let (Output { planned, frame, .. }, mut writer) = output_of(arguments, snapshot, query, path, format)?;
-    let query = query.clone().with_scans(!planned.brighten.is_empty());
-    let packer = writer.packer();
-    let pack = move |mut batch| {
-        deepen(&mut batch, &planned);
-        frame.as_ref().map_or(Ok(()), |f| f.apply(&mut batch))?;
-        Ok::<_, anyhow::Error>(packer.pack(batch)?)
-    };
-    let mut failure = None;
-    let answer = query.run_mapped(snapshot, pack, |packed| {
-        match packed.and_then(|packed| Ok(writer.write_packed(packed)?)) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                failure = Some(error);
-                ControlFlow::Break(())
-            }
-        }
-    })?;
-    if let Some(error) = failure {
-        return Err(error);
-    }
-    for note in writer.finish()? {
-        eprintln!("esker: {}", output::clean(&note));
-    }
-    Ok(answer)
 }

@@ -1,8 +1,7 @@
 //! `esker view`: the window.
 
 use super::Outcome;
-use super::output_plan::{deepen, plan};
-use crate::formats::{CreateOptions, OutputFormat, create};
+use crate::export::{ExportOptions, Target, export};
 use crate::geometry::WorldBox;
 use crate::query::{Query, Region};
 use crate::store::{Snapshot, Store};
@@ -10,7 +9,6 @@ use crate::viewer::remembered::Remembered;
 use crate::viewer::{Options, parse_script};
 use anyhow::Context;
 use clap::Args;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -46,37 +44,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let name = arguments.store.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let remember = if arguments.forget { None } else { Remembered::place() };
     let exporter = Arc::new(|snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path| {
-        export(snapshot, bounds, scans, path).map_err(|e| super::output::one_line(&e))
+        export_box(snapshot, bounds, scans, path).map_err(|e| super::output::one_line(&e))
     });
     crate::viewer::run(Options { store, lattice, name, exporter, remember, script })?;
     Ok(Outcome::Done)
 }
 
 /// The points of a box, of these scans, with all their attributes.
-fn export(snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path) -> anyhow::Result<u64> {
-    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
-    let format = OutputFormat::of_extension(ending)
-        .with_context(|| format!("{}: give a name ending in .laz, .las, .ply or .csv", path.display()))?;
+fn export_box(snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path) -> anyhow::Result<u64> {
     let region = Region::new_box(bounds.min().to_array(), bounds.max().to_array())?;
     let query = Query::new().region(region).scans(scans.iter().cloned());
-    let planned = plan(snapshot, &query.output_form(snapshot)?, true, None)?;
-    let options = CreateOptions { standard_gps_time: planned.standard_gps_time, ..CreateOptions::default() };
-    let mut writer = create(path, format, &planned.plan, &options)?;
-    let query = query.with_scans(!planned.brighten.is_empty());
-    let mut failure = None;
-    let answer = query.run(snapshot, |mut batch| {
-        deepen(&mut batch, &planned);
-        match writer.write(&batch) {
-            Ok(()) => ControlFlow::Continue(()),
-            Err(error) => {
-                failure = Some(error);
-                ControlFlow::Break(())
-            }
-        }
-    })?;
-    if let Some(error) = failure {
-        return Err(error.into());
-    }
-    writer.finish()?;
-    Ok(answer.points)
+    let done = export(snapshot, &query, Target::File(path), &ExportOptions::default(), |_| {})?;
+    Ok(done.answer.points)
 }

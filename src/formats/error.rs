@@ -49,6 +49,12 @@ pub enum FormatError {
         /// The panic's message.
         message: String,
     },
+    /// There is a file of this name.
+    #[error("{path}: exists already; use --force to replace it")]
+    AlreadyThere {
+        /// The file.
+        path: PathBuf,
+    },
     /// The answer cannot be written in this form.
     #[error("{path}: {reason}")]
     Unwritable {

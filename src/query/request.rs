@@ -110,6 +110,11 @@ impl Query {
         self
     }
 
+    /// Was no attribute left out?
+    pub fn asks_for_all_attributes(&self) -> bool {
+        self.attributes == Attributes::All
+    }
+
     /// Is every point to carry the id of its scan?
     #[must_use]
     pub fn with_scans(mut self, with_scans: bool) -> Self {

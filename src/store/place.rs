@@ -37,6 +37,12 @@ pub struct Limits {
 }
 
 impl Limits {
+    /// At most so many bytes together, in the proportions of the default. A part of the tree that is in use is kept
+    /// beyond it.
+    pub fn of_bytes(bytes: usize) -> Self {
+        Self { node_bytes: bytes / 11, row_bytes: bytes / 11 * 2, block_bytes: bytes / 11 * 8 }
+    }
+
     /// For a program that asks once: nothing is kept but node rows.
     pub fn once() -> Self {
         Self { row_bytes: 0, block_bytes: 0, ..Self::default() }

@@ -16,6 +16,7 @@ const FLOORS: &[(&str, &[&str])] = &[
     ("generate", &["formats", "points", "lattice", "geometry"]),
     ("ingest", &["store", "formats", "codec", "octree", "points", "lattice", "geometry"]),
     ("query", &["store", "codec", "octree", "points", "lattice", "geometry"]),
+    ("export", &["query", "store", "formats", "codec", "octree", "points", "lattice", "geometry"]),
     ("stream", &["query", "store", "codec", "octree", "points", "lattice", "geometry"]),
     ("render", &["stream", "points", "lattice", "geometry"]),
     ("viewer", &["render", "stream", "query", "store", "codec", "octree", "points", "lattice", "geometry"]),
@@ -23,7 +24,7 @@ const FLOORS: &[(&str, &[&str])] = &[
         "cli",
         &[
             "geometry", "lattice", "points", "codec", "octree", "store", "formats", "generate", "ingest", "query",
-            "render", "stream", "viewer",
+            "export", "render", "stream", "viewer",
         ],
     ),
 ];

@@ -124,7 +124,7 @@ fn a_scan_goes_back_to_its_own_frame() {
     esker_fails(
         &["query", &s, "--frame", "scan", "-o", &path("two.las")],
         1,
-        &["--frame scan is for the points of one scan"],
+        &["the frame of a scan is for the points of one scan"],
     );
 }
 

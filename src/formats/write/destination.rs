@@ -50,7 +50,7 @@ impl Destination {
             Ok(there) if !there.is_file() => {
                 return Err(refuse("is not a regular file; `-o -` writes to the standard output"));
             }
-            Ok(_) if !force => return Err(refuse("exists already; use --force to replace it")),
+            Ok(_) if !force => return Err(FormatError::AlreadyThere { path: path.into() }),
             _ => {}
         }
         let folder = match target.parent() {

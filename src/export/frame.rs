@@ -1,13 +1,12 @@
-//! `query --frame scan`: the points of one scan where its scanner saw them.
+//! [`Frame::Scan`](super::Frame::Scan): the points of one scan where its scanner saw them.
 
-use super::output_plan::Planned;
+use super::{ExportError, Planned};
 use crate::formats::LasTarget;
 use crate::geometry::Pose;
 use crate::lattice::{Decimal, Lattice};
 use crate::points::{Batch, Positions};
 use crate::query::OutputForm;
 use crate::store::Snapshot;
-use anyhow::{Context, bail};
 
 /// The map from the store's lattice to one of the same quantum in the scan's frame.
 pub(super) struct ScanFrame {
@@ -20,12 +19,13 @@ pub(super) struct ScanFrame {
 
 impl ScanFrame {
     /// Of the one scan that the answer is of.
-    pub fn of(snapshot: &Snapshot, form: &OutputForm) -> anyhow::Result<Self> {
+    pub fn of(snapshot: &Snapshot, form: &OutputForm) -> Result<Self, ExportError> {
         let &[id] = form.scans.as_slice() else {
-            bail!("--frame scan is for the points of one scan; name it with --scan, or --split-by scan");
+            return Err(ExportError::FrameOfSeveral);
         };
-        let scan = snapshot.scan(id).context("the scan is not there any more")?;
-        let pose = Pose::from_matrix(&scan.pose).with_context(|| format!("the pose of scan '{}'", scan.name))?;
+        let scan = snapshot.scan(id).ok_or(ExportError::NoScan(id))?;
+        let pose =
+            Pose::from_matrix(&scan.pose).map_err(|source| ExportError::Pose { scan: scan.name.clone(), source })?;
         let world = snapshot.site().lattice.clone();
         let frame = Lattice::new(world.quantum(), [Decimal::ZERO; 3])?;
         let mut bounds = ([0.0; 3], [0.0; 3]);
@@ -44,7 +44,7 @@ impl ScanFrame {
     }
 
     /// Makes the plan one for points in the scan's frame: no CRS, and a grid of the store's quantum, or `scale`.
-    pub fn plan(&self, planned: &mut Planned, scale: Option<[f64; 3]>) -> anyhow::Result<()> {
+    pub fn plan(&self, planned: &mut Planned, scale: Option<[f64; 3]>) -> Result<(), ExportError> {
         let scale = scale.unwrap_or(self.frame.quantum_f64());
         let mut offset = [0.0; 3];
         for axis in 0..3 {
@@ -52,14 +52,8 @@ impl ScanFrame {
             // Zero, the scanner's place, where it fits: then other scans' files of this kind look the same.
             let fits = |o: f64| (max - o).max(o - min) / scale[axis] < f64::from(i32::MAX) - 1.0;
             let middle = (min / 2.0 + max / 2.0).round();
-            offset[axis] = [0.0, middle].into_iter().find(|&o| fits(o)).with_context(|| {
-                format!(
-                    "the scan is {} units wide on axis {axis} of its frame, too wide for 32-bit coordinates in steps of \
-                     {}; give a coarser --scale",
-                    max - min,
-                    scale[axis]
-                )
-            })?;
+            let found = [0.0, middle].into_iter().find(|&o| fits(o));
+            offset[axis] = found.ok_or(ExportError::TooWide { width: max - min, axis, scale: scale[axis] })?;
         }
         planned.plan.lattice = self.frame.clone();
         planned.plan.crs = None;
@@ -68,11 +62,11 @@ impl ScanFrame {
     }
 
     /// Moves the points of a batch to the scan's frame: each coordinate to the nearest step there.
-    pub fn apply(&self, batch: &mut Batch) -> anyhow::Result<()> {
+    pub fn apply(&self, batch: &mut Batch) -> Result<(), ExportError> {
         let mut moved = Positions::with_capacity(batch.len());
         for point in batch.positions.iter() {
             let p = self.pose.scan_from_world(self.world.world_from_lattice(point));
-            moved.push(self.frame.lattice_from_world(p).context("a point in the scan's frame")?);
+            moved.push(self.frame.lattice_from_world(p)?);
         }
         batch.positions = moved;
         Ok(())

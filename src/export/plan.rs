@@ -1,5 +1,6 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
+use super::ExportError;
 use crate::formats::{LasTarget, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, LatticeBox, LatticePoint};
@@ -7,25 +8,30 @@ use crate::points::{Batch, Column, LasFacts};
 use crate::query::OutputForm;
 use crate::store::Snapshot;
 use crate::store::model::Scan;
-use anyhow::{Context, bail};
 
 /// The plan, and what to do with colours of different depths.
-pub(super) struct Planned {
+pub struct Planned {
+    /// What the writer is told.
     pub plan: OutputPlan,
     /// The ids of scans whose 8-bit colours are to be brought to 16 bits.
     pub brighten: Vec<u32>,
     /// Are all GPS times adjusted standard ones?
     pub standard_gps_time: bool,
+    /// What a user should know.
     pub notes: Vec<String>,
 }
 
 /// Plans an output. `all_attributes`: nothing was left out by the user. `scale`: what the user asked for.
-pub(super) fn plan(
+///
+/// # Errors
+///
+/// [`ExportError::TooWide`]
+pub fn plan(
     snapshot: &Snapshot,
     form: &OutputForm,
     all_attributes: bool,
     scale: Option<[f64; 3]>,
-) -> anyhow::Result<Planned> {
+) -> Result<Planned, ExportError> {
     let scans: Vec<&Scan> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
     let site = snapshot.site();
     let mut notes = Vec::new();
@@ -85,7 +91,7 @@ fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
 }
 
 /// The store's own grid, or a scale of the user's, around the middle of the contributing scans.
-fn merged(snapshot: &Snapshot, scans: &[&Scan], scale: Option<[f64; 3]>) -> anyhow::Result<LasTarget> {
+fn merged(snapshot: &Snapshot, scans: &[&Scan], scale: Option<[f64; 3]>) -> Result<LasTarget, ExportError> {
     let lattice = &snapshot.site().lattice;
     let bounds = scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
     let bounds = bounds.unwrap_or(LatticeBox::of(LatticePoint([BIAS as u64; 3])));
@@ -94,20 +100,18 @@ fn merged(snapshot: &Snapshot, scans: &[&Scan], scale: Option<[f64; 3]>) -> anyh
     let mut offset = [0.0; 3];
     for axis in 0..3 {
         let (min, max) = (bounds.min.0[axis], bounds.max.0[axis]);
-        offset[axis] = offset_for(snapshot, axis, min, max, scale[axis]).with_context(|| {
-            format!(
-                "the answer is {} units wide on axis {axis}, too wide for 32-bit coordinates in steps of {}; give a \
-                 coarser --scale, or --split-by scan",
-                (max - min) as f64 * quantum[axis],
-                scale[axis]
-            )
+        let width = (max - min) as f64 * quantum[axis];
+        offset[axis] = offset_for(snapshot, axis, min, max, scale[axis]).ok_or(ExportError::TooWide {
+            width,
+            axis,
+            scale: scale[axis],
         })?;
     }
     Ok(LasTarget::Merged { scale, offset })
 }
 
 /// A round world coordinate near the middle of an axis from which every index fits 32 bits.
-fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) -> anyhow::Result<f64> {
+fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) -> Option<f64> {
     let lattice = &snapshot.site().lattice;
     let steps = lattice.quantum_f64()[axis] / scale;
     let middle = (min / 2 + max / 2) as i64 + (min % 2 + max % 2) as i64 / 2 - BIAS;
@@ -117,25 +121,27 @@ fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) 
         let index = (BIAS + steps_from_bias) as u64;
         let reach = index.abs_diff(min).max(index.abs_diff(max)) as f64 * steps;
         if reach < f64::from(i32::MAX) {
-            return Ok(lattice.world_on_axis(axis, index));
+            return Some(lattice.world_on_axis(axis, index));
         }
     }
-    bail!("it does not fit")
+    None
 }
 
-/// Brings colours of 8 bits to 16, where both meet.
-pub(super) fn deepen(batch: &mut Batch, planned: &Planned) {
-    if planned.brighten.is_empty() {
-        return;
-    }
-    let names: Vec<usize> = (0..batch.attributes.len())
-        .filter(|&i| ["Red", "Green", "Blue", "Infrared"].contains(&batch.attributes[i].name.as_str()))
-        .collect();
-    for i in names {
-        if let Column::U16(values) = &mut batch.columns[i] {
-            for (value, scan) in values.iter_mut().zip(&batch.scans) {
-                if planned.brighten.binary_search(scan).is_ok() {
-                    *value = value.saturating_mul(257);
+impl Planned {
+    /// Brings colours of 8 bits to 16, where both meet.
+    pub fn deepen(&self, batch: &mut Batch) {
+        if self.brighten.is_empty() {
+            return;
+        }
+        let names: Vec<usize> = (0..batch.attributes.len())
+            .filter(|&i| ["Red", "Green", "Blue", "Infrared"].contains(&batch.attributes[i].name.as_str()))
+            .collect();
+        for i in names {
+            if let Column::U16(values) = &mut batch.columns[i] {
+                for (value, scan) in values.iter_mut().zip(&batch.scans) {
+                    if self.brighten.binary_search(scan).is_ok() {
+                        *value = value.saturating_mul(257);
+                    }
                 }
             }
         }

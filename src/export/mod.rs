@@ -1,0 +1,209 @@
+//! Answers to files: what a file will be is decided from the scans that contribute to it, then the points are written as
+//! they are decoded.
+
+mod error;
+mod frame;
+mod plan;
+mod split;
+
+pub use error::ExportError;
+pub use plan::{Planned, plan};
+
+use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
+use crate::points::{Attribute, Batch};
+use crate::query::{Answer, Query};
+use crate::store::Snapshot;
+use frame::ScanFrame;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Where points go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target<'p> {
+    /// A file, which appears when it is complete, or not at all.
+    File(&'p Path),
+    /// The standard output.
+    StandardOutput,
+}
+
+/// One file for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SplitBy {
+    /// `out_NAME.las` for `out.las`.
+    Scan,
+    /// `out_class2.las` for `out.las`.
+    Class,
+}
+
+/// In which frame coordinates are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Frame {
+    /// The world's.
+    #[default]
+    World,
+    /// The one of the scan, where its scanner is the origin.
+    Scan,
+}
+
+/// How an answer is written.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ExportOptions {
+    /// The form; what the name ends in, if nothing is said.
+    pub format: Option<OutputFormat>,
+    /// LAS and LAZ: coordinates in these steps, instead of those of the scans, if they agree, or the store's.
+    pub scale: Option<[f64; 3]>,
+    /// In which frame.
+    pub frame: Frame,
+    /// One file for each scan or class.
+    pub split: Option<SplitBy>,
+    /// Replace files that are there?
+    pub force: bool,
+}
+
+/// What was written.
+#[derive(Clone, Debug)]
+pub struct Exported {
+    /// The answer's report.
+    pub answer: Answer,
+    /// The files and their points; none for the standard output.
+    pub files: Vec<(PathBuf, u64)>,
+    /// What a user should know of them.
+    pub notes: Vec<String>,
+}
+
+/// The form of a file by what its name ends in.
+///
+/// # Errors
+///
+/// [`ExportError::Ending`]
+pub fn format_of(path: &Path) -> Result<OutputFormat, ExportError> {
+    let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    OutputFormat::of_extension(ending).ok_or_else(|| ExportError::Ending { path: path.into(), ending: ending.into() })
+}
+
+/// Writes the points of a query in its order, in bounded memory. `progress` is told the points written, now and then.
+///
+/// ```
+/// use esker::export::{ExportOptions, Target, export};
+/// use esker::lattice::Lattice;
+/// use esker::query::{Filter, Query};
+/// use esker::store::{SiteOptions, Store};
+///
+/// # let folder = std::env::temp_dir().join(format!("esker-export-{}", std::process::id()));
+/// # std::fs::create_dir_all(&folder)?;
+/// # let store = Store::in_memory(SiteOptions::new(Lattice::uniform(0.001)?))?;
+/// let path = folder.join("low.laz");
+/// let low = Query::new().filter(Filter::parse("Z < 10")?);
+/// let done = export(&store.snapshot()?, &low, Target::File(&path), &ExportOptions::default(), |_| {})?;
+/// assert_eq!(done.files, [(path, done.answer.points)]);
+/// # std::fs::remove_dir_all(&folder)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+///
+/// [`ExportError`]; then no file is there that was not there before.
+pub fn export(
+    snapshot: &Snapshot,
+    query: &Query,
+    target: Target<'_>,
+    options: &ExportOptions,
+    mut progress: impl FnMut(u64),
+) -> Result<Exported, ExportError> {
+    let format = match (options.format, target) {
+        (Some(format), _) => format,
+        (None, Target::File(path)) => format_of(path)?,
+        (None, Target::StandardOutput) => OutputFormat::Csv,
+    };
+    match (options.split, target) {
+        (Some(by), Target::File(path)) => split::split(snapshot, query, path, format, by, options, &mut progress),
+        (Some(_), Target::StandardOutput) => Err(ExportError::SplitOfStandardOutput),
+        (None, _) => write(snapshot, query, target, format, options, &mut progress),
+    }
+}
+
+fn write(
+    snapshot: &Snapshot,
+    query: &Query,
+    target: Target<'_>,
+    format: OutputFormat,
+    options: &ExportOptions,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Exported, ExportError> {
+    let (shape, mut writer) = begin(snapshot, query, target, format, options)?;
+    let query = query.clone().with_scans(shape.needs_scans());
+    let mut notes = shape.planned.notes.clone();
+    let packer = writer.packer();
+    let pack = move |mut batch: Batch| {
+        shape.apply(&mut batch)?;
+        let points = batch.len() as u64;
+        Ok::<_, ExportError>((points, packer.pack(batch)?))
+    };
+    let (mut failure, mut points) = (None, 0);
+    let answer = query.run_mapped(snapshot, pack, |packed| {
+        let written = packed.and_then(|(more, packed)| {
+            writer.write_packed(packed)?;
+            points += more;
+            progress(points);
+            Ok(())
+        });
+        failure = written.err();
+        if failure.is_some() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    if let Some(error) = failure {
+        return Err(error);
+    }
+    notes.extend(writer.finish()?);
+    let files = match target {
+        Target::File(path) => vec![(path.into(), answer.points)],
+        Target::StandardOutput => Vec::new(),
+    };
+    Ok(Exported { answer, files, notes })
+}
+
+/// What is decided of a file before its first point.
+struct Shape {
+    attributes: Arc<[Attribute]>,
+    planned: Planned,
+    frame: Option<ScanFrame>,
+}
+
+/// Begins a file for the answer to a query.
+fn begin(
+    snapshot: &Snapshot,
+    query: &Query,
+    target: Target<'_>,
+    format: OutputFormat,
+    options: &ExportOptions,
+) -> Result<(Shape, Box<dyn PointWriter>), ExportError> {
+    let form = query.output_form(snapshot)?;
+    let frame = (options.frame == Frame::Scan).then(|| ScanFrame::of(snapshot, &form)).transpose()?;
+    let mut planned = plan(snapshot, &form, query.asks_for_all_attributes(), options.scale)?;
+    if let Some(frame) = &frame {
+        frame.plan(&mut planned, options.scale)?;
+    }
+    let create_options = CreateOptions {
+        force: options.force,
+        standard_gps_time: planned.standard_gps_time,
+        ..CreateOptions::default()
+    };
+    let writer = match target {
+        Target::File(path) => create(path, format, &planned.plan, &create_options)?,
+        Target::StandardOutput => create_standard_output(format, &planned.plan, &create_options)?,
+    };
+    Ok((Shape { attributes: form.attributes, planned, frame }, writer))
+}
+
+impl Shape {
+    /// Must it be known which scan a point is of?
+    fn needs_scans(&self) -> bool {
+        !self.planned.brighten.is_empty()
+    }
+
+    /// Makes the points of a batch what the file has.
+    fn apply(&self, batch: &mut Batch) -> Result<(), ExportError> {
+        self.planned.deepen(batch);
+        self.frame.as_ref().map_or(Ok(()), |frame| frame.apply(batch))
+    }
+}

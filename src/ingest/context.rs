@@ -63,6 +63,18 @@ impl<'a> Context<'a> {
         }
     }
 
+    /// Does what can be stopped by a flag that it looks at, and then fails.
+    pub fn unless_cancelled<R>(
+        &self,
+        work: impl FnOnce(&(dyn Fn() -> bool + Sync)) -> Result<R, StoreError>,
+    ) -> Result<R, IngestError> {
+        let done = work(&|| self.progress.cancelled());
+        if done.is_err() {
+            self.go_on()?;
+        }
+        Ok(done?)
+    }
+
     /// An error if the run is to stop.
     pub fn go_on(&self) -> Result<(), IngestError> {
         if self.progress.cancelled() { Err(IngestError::Interrupted) } else { Ok(()) }

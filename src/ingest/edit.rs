@@ -197,7 +197,7 @@ pub fn compact(
             let bytes_before = file_bytes(path);
             let layers = taken_layers(store.snapshot()?.site()).count();
             fold_all(context, &store, &mut writer)?;
-            writer.compact()?;
+            context.unless_cancelled(|stop| writer.compact(stop))?;
             let bytes_after = file_bytes(path);
             Ok(Compacted { layers, bytes_before, bytes_after, seconds: begun.elapsed().as_secs_f64() })
         });
@@ -212,7 +212,7 @@ pub fn compact(
         let (_, writer) = opened(context, Store::open(path)?)?;
         // What a run that was cut off has left.
         remove_store(&unfinished);
-        writer.copy_to(&unfinished)?;
+        context.unless_cancelled(|stop| writer.copy_to(&unfinished, stop))?;
         Ok(())
     })
     .and_then(|()| compact(&unfinished, None, resources, progress));
@@ -237,7 +237,7 @@ pub fn digest(path: &Path, resources: &Resources, progress: &dyn Progress) -> Re
     Context::run(path, resources, progress, |context| {
         let snapshot = Store::open(path)?.snapshot()?;
         if taken_layers(snapshot.site()).count() < 2 {
-            return Ok(crate::store::digest(&snapshot)?);
+            return crate::store::digest(&snapshot, &|| progress.cancelled())?.ok_or(IngestError::Interrupted);
         }
         digest_of_all(context, &snapshot)
     })

@@ -1,7 +1,7 @@
 //! Damage is found, named, and never read as points.
 
 use super::connection::{self, Purpose};
-use super::testing::{content, options, points, prepare, replace, some_points, sorted, verified};
+use super::testing::{content, digested, options, points, prepare, replace, some_points, sorted, verified};
 use super::*;
 use proptest::prelude::*;
 use std::ops::ControlFlow;
@@ -17,31 +17,31 @@ proptest! {
         let report = verified(&store, true);
         prop_assert_eq!(&report.findings, &vec![]);
         prop_assert_eq!(report.points, points.len() as u64);
-        let first = digest(&store.snapshot().unwrap()).unwrap();
+        let first = digested(&store);
         // Another order, other row ids, another generation.
         let mut reversed = points.clone();
         reversed.reverse();
         replace(&store, rest);
         replace(&store, reversed);
         prop_assert!(verified(&store, true).is_whole());
-        prop_assert_eq!(digest(&store.snapshot().unwrap()).unwrap(), first);
+        prop_assert_eq!(digested(&store), first);
         // One bit of one attribute, and one scan for another.
         let mut other = points.clone();
         other[0].intensity ^= 1;
         replace(&store, other);
-        prop_assert_ne!(digest(&store.snapshot().unwrap()).unwrap().points, first.points);
+        prop_assert_ne!(digested(&store).points, first.points);
         let mut other = points;
         other.retain(|p| p.scan == 1);
         if !other.is_empty() {
             replace(&store, other.clone());
-            let one = digest(&store.snapshot().unwrap()).unwrap();
+            let one = digested(&store);
             let mut writer = store.writer().unwrap();
             let snapshot = store.snapshot().unwrap();
             let mut scan = snapshot.scans()[0].clone();
             scan.identity[0] ^= 1;
             scan.name = "another name".into();
             writer.commit(Flip { scans_changed: vec![scan], ..Flip::default() }).unwrap();
-            let two = digest(&store.snapshot().unwrap()).unwrap();
+            let two = digested(&store);
             prop_assert_eq!(one.points, two.points);
             prop_assert_ne!(one.scans, two.scans);
         }
@@ -86,7 +86,7 @@ fn a_flipped_byte_is_found_wherever_it_is_and_never_read_as_points() {
                 Ok(content) => assert_eq!(content, expected, "byte {at} ^ {mask:#x}"),
                 Err(_) => assert!(found, "byte {at} ^ {mask:#x}"),
             }
-            let _ = store.snapshot().map(|s| (digest(&s).is_ok(), info(&s).is_ok()));
+            let _ = store.snapshot().map(|s| (digest(&s, &|| false).is_ok(), info(&s).is_ok()));
         }
         for name in ["copy.esker", "copy.esker-wal", "copy.esker-shm"] {
             let _ = std::fs::remove_file(folder.path().join(name));
@@ -217,6 +217,28 @@ fn info_adds_up() {
 }
 
 #[test]
+fn a_digest_that_is_ended_is_none() {
+    let store = Store::in_memory(options()).unwrap();
+    replace(&store, some_points(700));
+    let snapshot = store.snapshot().unwrap();
+    let asked_until = |end: u64| {
+        let asked = AtomicU64::new(0);
+        let found = digest(&snapshot, &|| asked.fetch_add(1, Ordering::Relaxed) + 1 >= end).unwrap();
+        (found, asked.into_inner())
+    };
+    let (found, all) = asked_until(u64::MAX);
+    assert_eq!(found, Some(digested(&store)));
+    assert!(all > 3, "asked {all} times");
+    for end in 1..=all {
+        let (found, asked) = asked_until(end);
+        assert!(
+            found.is_none() && asked <= end + rayon::current_num_threads() as u64,
+            "{asked} of {all}, ended at {end}"
+        );
+    }
+}
+
+#[test]
 fn a_check_that_is_ended_gives_no_report_whenever_that_is() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::create(folder.path().join("a.esker"), options()).unwrap();
@@ -231,7 +253,7 @@ fn a_check_that_is_ended_gives_no_report_whenever_that_is() {
         (report, asked.into_inner())
     };
     let (report, all) = asked_until(u64::MAX);
-    assert!(report.unwrap().is_whole());
+    assert!(report.unwrap().is_whole() && all > 3, "asked {all} times");
     for end in 1..=all {
         let (report, asked) = asked_until(end);
         assert_eq!(report, None, "ended when asked for time {end} of {all}");

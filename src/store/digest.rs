@@ -22,28 +22,31 @@ pub struct Digest {
     pub scans: Hash,
 }
 
-/// Computes both hashes of a store of one layer; decodes all of it.
+/// Computes both hashes of a store of one layer; decodes all of it. `cancelled` is asked now and then; true gives `None`.
 ///
 /// # Errors
 ///
 /// [`StoreError::Damaged`] if anything can't be read; [`StoreError::Unsupported`] if there are several layers: the
 /// digest is that of the merged tree, which [`crate::ingest::digest`] makes.
-pub fn digest(snapshot: &Snapshot) -> Result<Digest, StoreError> {
+pub fn digest(snapshot: &Snapshot, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Option<Digest>, StoreError> {
     let index = snapshot.index()?;
     if index.roots().count() > 1 {
         let path = snapshot.place().path().into();
         return Err(StoreError::Unsupported { path, what: "the digest of several layers".into() });
     }
     let digester = Digester::new(snapshot)?;
-    let nodes: Vec<Digest> = index
+    let nodes: Option<Vec<Digest>> = index
         .heads()
         .par_iter()
         .map_init(Decoder::new, |decoder, head| {
+            if cancelled() {
+                return Ok(None);
+            }
             let parts = (0..head.parts.len()).map(|part| decode_part(snapshot, head, part, decoder));
-            digester.node(head.cube, head.leaf, parts)
+            digester.node(head.cube, head.leaf, parts).map(Some)
         })
-        .collect::<Result<_, StoreError>>()?;
-    Ok(digester.store(&nodes))
+        .collect::<Result<Option<_>, StoreError>>()?;
+    Ok(nodes.map(|nodes| digester.store(&nodes)))
 }
 
 /// Hashes nodes one by one, then what they come to.

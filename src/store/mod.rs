@@ -16,6 +16,7 @@ mod flip_check;
 mod handle;
 mod index;
 mod info;
+mod interrupt;
 mod lanes;
 mod leaders;
 mod lock;

@@ -11,6 +11,11 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
+/// The hashes of a store.
+pub fn digested(store: &Store) -> Digest {
+    digest(&store.snapshot().unwrap(), &|| false).unwrap().unwrap()
+}
+
 /// What a check to its end finds.
 pub fn verified(store: &Store, deep: bool) -> Report {
     verify(store, deep, &|_, _| ControlFlow::Continue(())).unwrap()

@@ -8,6 +8,7 @@ use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
 use super::files::{remove_spills, wal_bytes};
 use super::flip::{Flip, flip};
+use super::interrupt::unless;
 use super::lock::WriterLock;
 use super::model::{FIRST_ATTRIBUTE, SLOT_PACKED, SLOT_STRIDE, ScanId, Site, Slot, StoredAttribute};
 use super::place::{Place, lock};
@@ -343,7 +344,7 @@ impl Writer {
     /// # Errors
     ///
     /// [`StoreError::Full`], [`StoreError::Sqlite`]; the store is then as it was.
-    pub fn compact(&mut self) -> Result<(), StoreError> {
+    pub fn compact(&mut self, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
         self.remove_garbage()?;
         let folder = match &*self.place {
             Place::File(file) => file.path.parent().filter(|p| !p.as_os_str().is_empty()).map(Path::to_owned),
@@ -355,7 +356,7 @@ impl Writer {
             if let Some(folder) = folder.as_deref().and_then(Path::to_str) {
                 c.pragma_update(None, "temp_store_directory", folder)?;
             }
-            Ok(c.execute_batch("PRAGMA synchronous = FULL; VACUUM")?)
+            unless(c, stop, |c| Ok(c.execute_batch("PRAGMA synchronous = FULL; VACUUM")?))
         })?;
         self.tidy();
         Ok(())
@@ -366,7 +367,7 @@ impl Writer {
     /// # Errors
     ///
     /// [`StoreError::AlreadyThere`], [`StoreError::Full`], [`StoreError::Sqlite`]; no copy is left then.
-    pub fn copy_to(&self, path: &Path) -> Result<(), StoreError> {
+    pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
         if path.exists() {
             return Err(StoreError::AlreadyThere { path: path.into() });
         }
@@ -374,7 +375,7 @@ impl Writer {
             let what = "the copy's path is no UTF-8".into();
             return Err(StoreError::Inconsistent { path: path.into(), what });
         };
-        let copied = self.run(|c| Ok(c.execute("VACUUM INTO ?", [text]).map(drop)?));
+        let copied = self.run(|c| unless(c, stop, |c| Ok(c.execute("VACUUM INTO ?", [text]).map(drop)?)));
         if copied.is_err() {
             let _ = std::fs::remove_file(path);
         }

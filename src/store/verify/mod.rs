@@ -7,6 +7,7 @@ mod tables;
 use super::error::StoreError;
 use super::handle::Store;
 use super::index::NodeIndex;
+use super::interrupt::unless;
 use super::model::{ScanId, Zones};
 use super::rows;
 use super::snapshot::Snapshot;
@@ -106,7 +107,7 @@ fn check(store: &Store, deep: bool, progress: Progress<'_>) -> ControlFlow<(), R
     };
     let total = snapshot.scans().iter().map(|s| s.stored).sum::<u64>() * if deep { 2 } else { 1 };
     progress(0, total)?;
-    let found = snapshot.with(|c| tables::integrity(c, || progress(0, total).is_break()));
+    let found = snapshot.with(|c| unless(c, || progress(0, total).is_break(), tables::integrity));
     // If it was ended, that is no finding.
     progress(0, total)?;
     match found {

@@ -6,32 +6,9 @@ use super::super::model::SLOT_PACKED;
 use super::super::rows::{self, SiteRow};
 use super::Finding;
 use rusqlite::Connection;
-use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::thread;
-use std::time::Duration;
 
-/// How often it is asked whether to go on.
-const ASK_EVERY: Duration = Duration::from_millis(20);
-
-/// SQLite's own check of the whole file; an error once `stop` says so.
-pub(super) fn integrity(connection: &Connection, stop: impl Fn() -> bool + Send) -> Result<Vec<Finding>, RowError> {
-    let handle = connection.get_interrupt_handle();
-    let (done, is_done) = channel::<()>();
-    thread::scope(|scope| {
-        scope.spawn(move || {
-            while let Err(RecvTimeoutError::Timeout) = is_done.recv_timeout(ASK_EVERY) {
-                if stop() {
-                    handle.interrupt();
-                }
-            }
-        });
-        let found = integrity_messages(connection);
-        drop(done);
-        found
-    })
-}
-
-fn integrity_messages(connection: &Connection) -> Result<Vec<Finding>, RowError> {
+/// SQLite's own check of the whole file.
+pub(super) fn integrity(connection: &Connection) -> Result<Vec<Finding>, RowError> {
     let mut statement = connection.prepare("PRAGMA integrity_check")?;
     let messages = statement.query_map([], |row| row.get::<_, String>(0))?;
     let mut findings = Vec::new();

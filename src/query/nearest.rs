@@ -11,11 +11,12 @@ use super::task::{by_part, work};
 use super::{Detail, Query, QueryError};
 use crate::codec::BLOCK_POINTS;
 use crate::geometry::Containment;
-use crate::lattice::{Key, Lattice, LatticeBox};
+use crate::lattice::{BIAS, Decimal, Key, Lattice, LatticeBox};
 use crate::points::Batch;
 use crate::store::{Node, Snapshot};
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
+use std::ops::RangeInclusive;
 
 /// The neighbours of some points.
 #[derive(Clone, Debug)]
@@ -202,8 +203,13 @@ impl Search<'_> {
         let look = Look { skips: &skips, misses: false, positions: true };
         for block in Part::new(plan, node, part).find(&look)? {
             let first = (block.block * BLOCK_POINTS) as u32;
+            // As far as neighbours are when the block is begun; most of its points are beyond.
+            let window = self.window(self.limit(found));
             for i in block.mask.indices() {
                 let at = block.content.positions.point(i as usize);
+                if (0..3).any(|axis| !window[axis].contains(&at.0[axis])) {
+                    continue;
+                }
                 let square =
                     square(std::array::from_fn(|axis| plan.lattice.world_on_axis(axis, at.0[axis]) - self.point[axis]));
                 if square <= self.limit(found) {
@@ -216,6 +222,23 @@ impl Search<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Indices on each axis outside of which a point is farther away than the root of `limit`.
+    fn window(&self, limit: f64) -> [RangeInclusive<u64>; 3] {
+        let lattice = &self.plan.lattice;
+        let (quantum, phase) = (lattice.quantum_f64(), lattice.phase().map(Decimal::to_f64));
+        std::array::from_fn(|axis| {
+            let (reach, at) = (limit.sqrt(), self.point[axis]);
+            // World coordinates are the nearest f64 to what indices mean: some units in the last place wider.
+            let slack = (reach + at.abs()) * 4e-15 + 2.0 * quantum[axis];
+            let index = |world: f64| {
+                // Saturates.
+                let steps = ((world - phase[axis]) / quantum[axis]) as i64;
+                steps.saturating_add(BIAS).max(0) as u64
+            };
+            index(at - reach - slack)..=index(at + reach + slack)
+        })
     }
 
     /// The square of the distance to a box.

@@ -7,11 +7,13 @@ mod canonical;
 mod changes;
 mod combinations;
 mod engine;
+mod exports;
 mod faults;
 mod fidelity;
 mod floors;
 mod growth;
 mod histories;
+mod memory;
 mod outofcore;
 #[cfg(feature = "render")]
 mod pictures;

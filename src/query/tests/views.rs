@@ -1,9 +1,11 @@
 //! Views: the sequence does not depend on the capacity, and what is promised of visible points holds.
 
 use super::*;
+use crate::codec::Decoder;
 use crate::geometry::{Camera, DVec3, Projection};
 use crate::lattice::LatticePoint;
 use crate::octree::even_order;
+use crate::store::decode_part;
 
 pub fn camera(test: &TestStore, eye: [f64; 3], size: u32) -> Camera {
     let middle = test.points.first().map_or([0.0; 3], |p| test.lattice.world_from_lattice(p.at()));
@@ -202,6 +204,11 @@ fn policies_are_read_from_text() {
     }
 }
 
+fn sorted(mut keys: Vec<Key>) -> Vec<Key> {
+    keys.sort_unstable();
+    keys
+}
+
 #[test]
 fn a_selection_is_closed_and_best_first() {
     let test = store(&[surface(120_000)], Params { g: 5, leaf_capacity: 2000 }, None);
@@ -237,6 +244,14 @@ fn a_selection_is_closed_and_best_first() {
         let bound = some.error_bound.unwrap();
         assert!(bound >= whole.error_bound.unwrap());
         assert!(some.error_bound_px.is_none_or(|px| px >= whole.error_bound_px.unwrap()));
-        assert_eq!(even_order(cut.points).take(last.points as usize).count(), last.points as usize);
+        // The points that the last part has brought.
+        let fewer = capacity - u64::from(last.points);
+        let (before, _) = collect(Query::new().with_scans(true).view(near.clone(), 1.0).capacity(fewer), &test);
+        let before = ascending(before);
+        let brought = found.iter().filter(|p| before.binary_search(p).is_err()).map(|p| p.key).collect();
+        let head = index.head(cut.node);
+        let keys = decode_part(&test.snapshot, head, cut.part as usize, &mut Decoder::new()).unwrap().keys;
+        let thinned = even_order(cut.points).take(last.points as usize).map(|i| keys[i as usize]).collect();
+        assert_eq!(sorted(brought), sorted(thinned), "{capacity} points");
     }
 }

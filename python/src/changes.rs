@@ -115,6 +115,29 @@ pub struct Listener {
 }
 
 impl Listener {
+    /// What is told every now and then, for a thread that waits.
+    pub fn every_now_and_then<'l>(
+        &'l self,
+        mut tell: impl FnMut(Python<'_>, &Self) -> PyResult<()> + Send + 'l,
+    ) -> impl FnMut(Python<'_>) -> PyResult<()> + Send + 'l {
+        let mut last = Instant::now();
+        move |py| {
+            if last.elapsed() < TELL_EVERY {
+                return Ok(());
+            }
+            last = Instant::now();
+            tell(py, self)
+        }
+    }
+
+    /// Tells how many points were written so far; how many there will be nobody knows.
+    pub fn points(&self, py: Python<'_>, written: &AtomicU64) -> PyResult<()> {
+        if let Some(progress) = &self.progress {
+            progress.call1(py, ("writing", written.load(Ordering::Relaxed), None::<u64>))?;
+        }
+        Ok(())
+    }
+
     fn listen(&self, py: Python<'_>, told: &Told) -> PyResult<()> {
         for message in std::mem::take(&mut *told.messages.lock().unwrap_or_else(PoisonError::into_inner)) {
             self.say.call1(py, (message,))?;
@@ -135,14 +158,7 @@ fn change<R: Serialize + Send>(
     work: impl FnOnce(&dyn Progress) -> Result<R, IngestError> + Send,
 ) -> PyResult<String> {
     let told = Told::default();
-    let mut last = Instant::now();
-    let tick = |py: Python<'_>| {
-        if last.elapsed() < TELL_EVERY {
-            return Ok(());
-        }
-        last = Instant::now();
-        listener.listen(py, &told)
-    };
+    let tick = listener.every_now_and_then(|py, listener| listener.listen(py, &told));
     let report = interruptible(py, || told.stop.store(true, Ordering::Relaxed), tick, || work(&told))?;
     listener.listen(py, &told)?;
     json(&report.map_err(Failure::from)?)

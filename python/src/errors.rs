@@ -1,5 +1,6 @@
 //! The library's errors as the package's exceptions, which are defined in `lib/esker/errors.py`.
 
+use esker::export::ExportError;
 use esker::formats::FormatError;
 use esker::generate::GenerateError;
 use esker::ingest::IngestError;
@@ -32,6 +33,13 @@ pub enum Failure {
     Ingest(IngestError),
     Format(FormatError),
     Generate(GenerateError),
+    Export(ExportError),
+}
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        Self::Export(error)
+    }
 }
 
 impl From<StoreError> for Failure {
@@ -72,6 +80,7 @@ impl From<Failure> for PyErr {
             Failure::Ingest(e) => of_ingest(&e),
             Failure::Format(e) => of_format(&e),
             Failure::Generate(GenerateError::Format(e)) => of_format(&e),
+            Failure::Export(e) => of_export(&e),
             Failure::Generate(e) => exceptions::EskerError::new_err(message(&e)),
         }
     }
@@ -90,6 +99,11 @@ pub fn bad_ingest(message: impl Into<String>) -> PyErr {
 /// Anything else that the caller did wrong.
 pub fn misuse(message: impl Into<String>) -> PyErr {
     exceptions::EskerError::new_err(message.into())
+}
+
+/// A file that is there and is to stay.
+pub fn exists(message: impl Into<String>) -> PyErr {
+    exceptions::ExistsError::new_err(message.into())
 }
 
 fn of_store(error: &StoreError) -> PyErr {
@@ -136,7 +150,18 @@ fn of_format(error: &FormatError) -> PyErr {
         FormatError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
             exceptions::NotThereError::new_err(message(error))
         }
+        FormatError::AlreadyThere { .. } => exceptions::ExistsError::new_err(message(error)),
         _ => exceptions::FormatError::new_err(message(error)),
+    }
+}
+
+fn of_export(error: &ExportError) -> PyErr {
+    match error {
+        ExportError::Query(e) => of_query(e),
+        ExportError::Format(e) => of_format(e),
+        ExportError::NoScan(_) => exceptions::DamagedError::new_err(message(error)),
+        ExportError::Ending { .. } | ExportError::TooWide { .. } => exceptions::FormatError::new_err(message(error)),
+        _ => exceptions::QueryError::new_err(message(error)),
     }
 }
 

@@ -4,6 +4,7 @@
 mod batches;
 mod changes;
 mod errors;
+mod export;
 mod options;
 mod points;
 mod reader;
@@ -15,10 +16,15 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 /// `esker._esker`.
 #[pyo3::pymodule(gil_used = false)]
 mod _esker {
+    /// The version of the package.
+    #[pymodule_export]
+    const VERSION: &str = env!("CARGO_PKG_VERSION");
     #[pymodule_export]
     use super::batches::Batches;
     #[pymodule_export]
     use super::changes::{compact, digest, generate, ingest, merge, remove, replace, set_visible};
+    #[pymodule_export]
+    use super::export::export;
     #[pymodule_export]
     use super::points::Points;
     #[pymodule_export]

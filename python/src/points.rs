@@ -2,7 +2,7 @@
 
 use crate::options::Give;
 use esker::lattice::{BIAS, Lattice};
-use esker::points::{Attribute, Batch, Column, ScalarType};
+use esker::points::{Attribute, Batch, Column, ScalarType, Scaling};
 use esker::query::{Query, QueryError};
 use esker::store::Snapshot;
 use esker::store::model::ScanId;
@@ -13,6 +13,9 @@ use pyo3::prelude::*;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Points whose records are filled field by field before those of the next ones: they stay in a core's cache meanwhile.
+const TILE: usize = 1024;
 
 /// What each point of an answer has, and how it is given.
 pub struct Form {
@@ -77,7 +80,7 @@ impl Form {
             }
             (Source::Scan, Column::U32(out)) => out.extend_from_slice(&batch.scans[range]),
             (Source::Scan, _) => {}
-            (Source::Attribute(i), out) => match (self.attributes[i].scaling.filter(|_| !self.give.raw), out) {
+            (Source::Attribute(i), out) => match (self.scaling(i), out) {
                 #[allow(clippy::unnecessary_cast)]
                 (Some(s), Column::F64(out)) => with_column!(&batch.columns[i], v => {
                     out.extend(v[range].iter().map(|&v| v as f64 * s.scale + s.offset));
@@ -85,6 +88,35 @@ impl Form {
                 (_, out) => extend_from(out, &batch.columns[i], range),
             },
         }
+    }
+
+    /// Fills records of `size` bytes with the points of `piece`.
+    fn fill(&self, piece: &Piece, records: &mut [u8], size: usize) {
+        let mut offset = 0;
+        for field in &self.fields {
+            match field.source {
+                Source::Scan => {
+                    scatter(&piece.batch.scans[piece.range.clone()], u32::to_ne_bytes, records, size, offset);
+                }
+                Source::Attribute(i) if self.scaling(i).is_none() => {
+                    let column = &piece.batch.columns[i];
+                    with_column!(column, v => {
+                        scatter(&v[piece.range.clone()], |v| v.to_ne_bytes(), records, size, offset);
+                    });
+                }
+                _ => {
+                    let mut column = Column::with_capacity(field.ty, piece.range.len());
+                    self.append(field, piece, &mut column);
+                    with_column!(&column, v => scatter(v, |v| v.to_ne_bytes(), records, size, offset));
+                }
+            }
+            offset += field.ty.size();
+        }
+    }
+
+    /// How an attribute's values are to be scaled.
+    fn scaling(&self, attribute: usize) -> Option<Scaling> {
+        self.attributes[attribute].scaling.filter(|_| !self.give.raw)
     }
 
     /// Can a value of the field be null?
@@ -212,12 +244,10 @@ impl Points {
                 rest = others;
             }
             targets.into_par_iter().for_each(|(piece, records)| {
-                let mut offset = 0;
-                for field in &form.fields {
-                    let mut column = Column::with_capacity(field.ty, piece.range.len());
-                    form.append(field, piece, &mut column);
-                    scatter(&column, records, size, offset);
-                    offset += field.ty.size();
+                for (tile, records) in records.chunks_mut(size * TILE).enumerate() {
+                    let start = piece.range.start + tile * TILE;
+                    let range = start..start + records.len() / size;
+                    form.fill(&Piece { batch: piece.batch.clone(), range }, records, size);
                 }
             });
             Ok(())
@@ -240,14 +270,17 @@ impl Points {
     }
 }
 
-/// Writes a column into records of `size` bytes, `offset` bytes from the front of each.
-fn scatter(column: &Column, records: &mut [u8], size: usize, offset: usize) {
-    with_column!(column, v => {
-        for (record, value) in records.chunks_exact_mut(size).zip(v) {
-            let bytes = value.to_ne_bytes();
-            record[offset..offset + bytes.len()].copy_from_slice(&bytes);
-        }
-    });
+/// Writes values into records of `size` bytes, `offset` bytes from the front of each.
+fn scatter<T: Copy, const N: usize>(
+    values: &[T],
+    bytes: impl Fn(T) -> [u8; N],
+    records: &mut [u8],
+    size: usize,
+    offset: usize,
+) {
+    for (record, &value) in records.chunks_exact_mut(size).zip(values) {
+        record[offset..offset + N].copy_from_slice(&bytes(value));
+    }
 }
 
 /// numpy's word for a type.

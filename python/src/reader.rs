@@ -7,8 +7,8 @@ use crate::points::{Form, Piece, Points};
 use crate::waiting::{interruptible, quietly, to_its_end};
 use esker::points::{canonical_name, same_name};
 use esker::query::{Answer, Cancel, Query, QueryError};
-use esker::store::{Finding, ScanDescription, Snapshot, Store, describe, verify};
-use numpy::{IntoPyArray, PyArray1};
+use esker::store::{Finding, Limits, ScanDescription, Snapshot, Store, describe, verify};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use serde::Serialize;
 use std::ops::ControlFlow;
@@ -64,7 +64,7 @@ impl Reader {
     }
 
     /// What is asked, and how to end it.
-    fn asked(&self, py: Python<'_>, options: &Options) -> PyResult<(Snapshot, Query, Cancel)> {
+    pub fn asked(&self, py: Python<'_>, options: &Options) -> PyResult<(Snapshot, Query, Cancel)> {
         let (_, snapshot) = self.current(py)?;
         let cancel = Cancel::new();
         let query = options.query(&snapshot)?.cancel(&cancel);
@@ -76,13 +76,25 @@ impl Reader {
 impl Reader {
     /// Opens a store.
     #[new]
-    fn opened(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+    fn opened(py: Python<'_>, path: PathBuf, cache: Option<u64>) -> PyResult<Self> {
+        let limits = cache.map_or_else(Limits::default, |bytes| Limits::of_bytes(bytes as usize));
         let (store, snapshot) = py.detach(|| {
-            let store = Store::open(path)?;
+            let store = Store::open_with(path, limits)?;
             let snapshot = store.snapshot()?;
             Ok::<_, Failure>((store, snapshot))
         })?;
         Ok(Self::new(store, snapshot, false))
+    }
+
+    /// JSON: what the caches hold and have been asked for.
+    fn cache(&self, py: Python<'_>) -> PyResult<String> {
+        json(&self.current(py)?.0.cache_figures())
+    }
+
+    /// Points that are answered with, of all visible scans.
+    fn points(&self, py: Python<'_>) -> PyResult<u64> {
+        let (_, snapshot) = self.current(py)?;
+        Ok(snapshot.scans().iter().filter(|s| s.visible).map(|s| s.stored).sum())
     }
 
     /// The present generation, kept.
@@ -183,11 +195,12 @@ impl Reader {
         &self,
         py: Python<'py>,
         options: Options,
-        points: Vec<[f64; 3]>,
+        points: PyReadonlyArray2<'_, f64>,
         k: usize,
         radius: Option<f64>,
     ) -> PyResult<Nearest<'py>> {
         let (snapshot, query, cancel) = self.asked(py, &options)?;
+        let points: Vec<[f64; 3]> = points.as_array().rows().into_iter().map(|p| [p[0], p[1], p[2]]).collect();
         let work = || {
             let form = Form::new(&query, &snapshot, options.give())?;
             let found = query.nearest(&snapshot, &points, k, radius)?;

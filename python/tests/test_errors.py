@@ -48,6 +48,10 @@ import pytest
         ({"view": "nowhere.json"}, esker.QueryError, "nowhere.json"),
         ({"positions": "globe"}, esker.QueryError, "positions"),
         ({"bax": (0, 0, 1, 1)}, TypeError, "bax"),
+        ({"polygon": [(0, 0, 1), (1, 0, 1), (1, 1, 1)]}, TypeError, "rows of x and y"),
+        ({"polygon": [(0, 0), (1, 1), (1, 0), (0, 1)]}, esker.QueryError, "cross"),
+        ({"scans": 1.5}, TypeError, "scans must be names"),
+        ({"spacing": "fine"}, TypeError, "spacing must be a number"),
     ],
 )
 def test_what_makes_no_query(site, keywords, error, message):

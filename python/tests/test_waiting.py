@@ -61,6 +61,43 @@ def test_ctrl_c_interrupts_a_query(large, work):
     assert count == 1_000_000 and took < 0.8 * alone, (took, alone)
 
 
+#: Calls that take long, after what they need.
+LONG = {
+    "verify": ("", "store.verify()"),
+    "verify deeply": ("", "store.verify(deep=True)"),
+    "digest": ("", "store.digest()"),
+    "density": ("", "store.density(0.2, where='Z > 0')"),
+    "nearest": ("places = store.query(attributes=[], capacity=5000).xyz", "store.nearest(places, k=8)"),
+    "compact": ("", "store.compact(f'{sys.argv[2]}/{next(number)}.esker')"),
+    "export": ("", "store.export(f'{sys.argv[2]}/{next(number)}.laz')"),
+    "export in parts": ("", "store.export(f'{sys.argv[2]}/{next(number)}.las', split_by='class')"),
+}
+
+
+@pytest.mark.parametrize("setup, work", LONG.values(), ids=LONG.keys())
+def test_ctrl_c_interrupts_whatever_takes_long(large, tmp_path, setup, work):
+    """Soon, and leaves nothing behind."""
+    script = f"""
+        import itertools
+        number = itertools.count()
+        store = esker.open(sys.argv[1])
+        {setup}
+        work = lambda: {work}
+        timed(work)
+        _, alone = timed(work)
+        tries = []
+        for _ in range(4):
+            before = sorted(os.listdir(sys.argv[2]))
+            ended, took = interrupt(work, alone / 5)
+            if ended == "interrupted":
+                tries.append(took)
+                assert sorted(os.listdir(sys.argv[2])) == before
+        print((min(tries), alone, store.count()))
+    """
+    took, alone, count = run(script, large.path, str(tmp_path))
+    assert count == 1_000_000 and took < 0.8 * alone, (took, alone)
+
+
 def test_ctrl_c_leaves_a_store_at_its_last_commit(large, site, tmp_path):
     path = tmp_path / "site.esker"
     esker.ingest(path, site.files)

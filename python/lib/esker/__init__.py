@@ -11,6 +11,7 @@
 Answers are exact, and say how good they are; see :meth:`Store.query`.
 """
 
+from ._esker import VERSION as __version__
 from ._points import Answer, Batches, Density, Neighbors, Points
 from ._store import Snapshot, Store, generate, ingest, merge
 from ._store import open_store as open

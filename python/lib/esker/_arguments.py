@@ -1,8 +1,11 @@
 """Keywords as users give them, brought into the one form that the extension takes."""
 
 import json
+import numbers as kinds
 import operator
 import os
+
+import numpy as np
 
 from .errors import QueryError
 
@@ -36,7 +39,7 @@ MOST = 2**63 - 1
 
 def whole(value, what):
     """A whole number, also one that is written as a float: ``1e6``."""
-    if isinstance(value, float) and value.is_integer():
+    if isinstance(value, kinds.Real) and not isinstance(value, kinds.Integral) and float(value).is_integer():
         value = int(value)
     try:
         return min(operator.index(value), MOST)
@@ -48,22 +51,55 @@ def names(value, what):
     """A list of strings: several, or one alone."""
     if value is None:
         return None
-    if isinstance(value, (str, int)) and not isinstance(value, bool):
+    if _is_name(value):
         value = [value]
-    value = list(value)
+    try:
+        value = list(value)
+    except TypeError:
+        raise TypeError(f"{what} must be names, not {value!r}") from None
     for name in value:
-        if isinstance(name, bool) or not isinstance(name, (str, int)):
+        if not _is_name(name):
             raise TypeError(f"{what} must be names, not {name!r}")
     return [str(name) for name in value]
 
 
+def _is_name(value):
+    return isinstance(value, (str, kinds.Integral)) and not isinstance(value, (bool, np.bool_))
+
+
 def numbers(value, what):
-    """A list of floats."""
+    """A list of floats; rows of an array follow each other, so that a low and a high corner make a box."""
     if value is None:
         return None
     if isinstance(value, str):
         raise TypeError(f"{what} must be numbers, not a string")
-    return [float(number) for number in value]
+    try:
+        return np.asarray(value, np.float64).ravel().tolist()
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{what} must be numbers, not {value!r}") from None
+
+
+def number(value, what):
+    """A float."""
+    if value is None:
+        return None
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise TypeError(f"{what} must be a number, not {value!r}") from None
+
+
+def places(value):
+    """Rows of three coordinates: one place, or several."""
+    try:
+        array = np.ascontiguousarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"points must be rows of x, y and z, not {value!r}") from None
+    if array.ndim == 1 and array.size in (0, 3):
+        array = array.reshape(-1, 3)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"points must be rows of x, y and z; their shape is {array.shape}")
+    return array
 
 
 def text(value, what):
@@ -87,15 +123,29 @@ def view(value):
 
 
 def polygon(value):
-    """WKT, GeoJSON or a file's name: as text, as GeoJSON's dict, or as an object of shapely's kind."""
+    """WKT, GeoJSON or a file's name: as text, as GeoJSON's dict, as an object of shapely's kind, or as a ring of
+    vertices."""
     if value is None or isinstance(value, str):
         return value
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     value = getattr(value, "__geo_interface__", value)
     if not isinstance(value, dict):
-        raise TypeError(f"polygon must be WKT, GeoJSON or a file, not {value!r}")
+        value = {"type": "Polygon", "coordinates": [_ring(value)]}
     return json.dumps(value, default=_plain)
+
+
+def _ring(vertices):
+    """A closed ring of x and y."""
+    wrong = TypeError(f"polygon must be WKT, GeoJSON, a file or rows of x and y, not {vertices!r}")
+    try:
+        array = np.asarray(vertices, np.float64)
+    except (TypeError, ValueError):
+        raise wrong from None
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise wrong
+    ring = array.tolist()
+    return ring if ring[:1] == ring[-1:] else ring + ring[:1]
 
 
 def frustum(value):
@@ -136,6 +186,8 @@ def query(given):
     full["attributes"] = names(full["attributes"], "attributes")
     full["view"] = view(full["view"])
     full["policy"] = text(full["policy"], "policy")
+    for word in ("max_error_px", "max_error", "spacing"):
+        full[word] = number(full[word], word)
     for word in ("level", "capacity"):
         if full[word] is not None:
             full[word] = whole(full[word], word)
@@ -146,9 +198,21 @@ def per_axis(value):
     """One number for all axes, or three."""
     if value is None:
         return None
-    if isinstance(value, (int, float)):
-        return [float(value)] * 3
-    return [float(number) for number in value]
+    axes = numbers(value, "quantum, phase or scale")
+    if len(axes) not in (1, 3):
+        raise ValueError(f"one number is wanted, or one per axis; there are {len(axes)}")
+    return axes * (3 // len(axes))
+
+
+def output(format, scale, frame, split_by, overwrite):
+    """All keywords of a file of points."""
+    return {
+        "format": text(format, "format"),
+        "scale": per_axis(scale),
+        "frame": text(frame, "frame"),
+        "split_by": text(split_by, "split_by"),
+        "overwrite": bool(overwrite),
+    }
 
 
 def changes(
@@ -189,7 +253,4 @@ def changes(
 
 def _matrix(pose):
     """The sixteen numbers of a row-major 4 x 4 matrix."""
-    flat = []
-    for row in pose:
-        flat.extend(float(number) for number in (row if hasattr(row, "__iter__") else [row]))
-    return flat
+    return numbers(pose, "a pose")

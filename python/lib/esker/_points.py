@@ -115,6 +115,20 @@ class Points:
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and _esker.same_attribute(name, list(self.names)) is not None
 
+    def __array__(self, dtype: Any = None, copy: Optional[bool] = None) -> np.ndarray:
+        """:attr:`points`, for numpy's functions."""
+        array = np.asarray(self.points, dtype)
+        return array.copy() if copy else array
+
+    def __getstate__(self) -> Dict[str, Any]:
+        """Pickled, points are their arrays."""
+        self.points
+        return {name: value for name, value in vars(self).items() if name not in ("_lock", "_decoded")}
+
+    def __setstate__(self, state: Dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._lock = threading.Lock()
+
     def __repr__(self) -> str:
         return f"<esker.{type(self).__name__} of {self._len:,} points: {', '.join(self.names)}>"
 

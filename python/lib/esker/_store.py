@@ -8,9 +8,11 @@ import os
 import warnings
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, TypedDict, Union
 
+import numpy as np
+
 from . import _arguments, _esker
 from ._points import Answer, Batches, Density, Neighbors
-from .errors import EskerWarning
+from .errors import EskerError, EskerWarning
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -18,14 +20,16 @@ if TYPE_CHECKING:
 PathLike = Union[str, "os.PathLike[str]"]
 Names = Union[str, int, Sequence[Union[str, int]]]
 Progress = Callable[[str, int, int], Any]
+#: Of work of which nobody knows how much there is.
+OpenProgress = Callable[[str, int, Optional[int]], Any]
 
 _log = logging.getLogger("esker")
 
 
-class QueryKeywords(TypedDict, total=False):
-    """The keywords of :meth:`Store.query`."""
+class ExportedKeywords(TypedDict, total=False):
+    """The keywords of :meth:`Store.query` that say which points a file gets."""
 
-    box: Sequence[float]
+    box: Any
     closed: bool
     sphere: Sequence[float]
     obox: Sequence[float]
@@ -43,6 +47,11 @@ class QueryKeywords(TypedDict, total=False):
     level: int
     capacity: Union[int, float]
     attributes: Names
+
+
+class QueryKeywords(ExportedKeywords, total=False):
+    """The keywords of :meth:`Store.query`."""
+
     positions: str
     raw: bool
     masked: bool
@@ -108,6 +117,26 @@ class Reader:
         return json.loads(self._reader.info())
 
     @property
+    def bounds(self) -> Optional[np.ndarray]:
+        """Low and high corner as two rows, the latter one quantum beyond the last point, so that it takes everything when
+        used as a box; ``None`` without points.
+
+        >>> store.bounds.shape, store.count(box=store.bounds)
+        ((2, 3), 60000)
+        """
+        bounds = self.info["bounds"]
+        return None if bounds is None else np.array([bounds["min"], bounds["max"]])
+
+    @property
+    def cache(self) -> Dict[str, int]:
+        """What is kept in memory of what was read: bytes, and how often something was there.
+
+        >>> sorted(store.cache)
+        ['block_bytes', 'block_hits', 'block_misses', 'row_bytes', 'row_hits', 'row_misses']
+        """
+        return json.loads(self._reader.cache())
+
+    @property
     def scans(self) -> List[Dict[str, Any]]:
         """The scans, as the command line's ``scans --json``: id, name, points, pose, bounds, visible, ...
 
@@ -134,7 +163,7 @@ class Reader:
     def query(
         self,
         *,
-        box: Optional[Sequence[float]] = None,
+        box: Any = None,
         closed: bool = False,
         sphere: Optional[Sequence[float]] = None,
         obox: Optional[Sequence[float]] = None,
@@ -162,15 +191,16 @@ class Reader:
         Where (inside all that are given):
 
         ``box``
-            ``(x0, y0, x1, y1)`` or ``(x0, y0, z0, x1, y1, z1)``, half-open: a point on a maximum face is outside, unless
-            ``closed`` is true. ``float("inf")`` is a number.
+            ``(x0, y0, x1, y1)`` or ``(x0, y0, z0, x1, y1, z1)``, or low and high corner as two rows; half-open: a point on a
+            maximum face is outside, unless ``closed`` is true. ``float("inf")`` is a number.
         ``sphere``
             ``(x, y, z, radius)``.
         ``obox``
             ``(x, y, z, sx, sy, sz, yaw)`` or with ``pitch, roll``: the centre, full sides, angles in degrees.
         ``polygon``
-            WKT or GeoJSON, as text, as a file, as a dict, or as an object with ``__geo_interface__`` such as shapely's; holes
-            and several parts. Half-open like a box: neighbours that share an edge share no point.
+            WKT or GeoJSON, as text, as a file, as a dict, or as an object with ``__geo_interface__`` such as shapely's, with
+            holes and several parts; or the vertices as rows of x and y. Half-open like a box: neighbours that share an edge
+            share no point.
         ``z``
             ``(from, up_to)``: heights, half-open.
         ``frustum``
@@ -259,9 +289,7 @@ class Reader:
         >>> len(first)
         1000
         """
-        size = _arguments.whole(size, "size")
-        if size < 1:
-            raise ValueError(f"size is {size}; it must be 1 or more")
+        size = _count(size, "size")
         options = _arguments.query(keywords)
         return Batches(self._reader.batches(options, size), options["masked"])
 
@@ -295,16 +323,17 @@ class Reader:
     def nearest(
         self, points: Any, k: int = 1, radius: Optional[float] = None, **keywords: Unpack[QueryKeywords]
     ) -> Neighbors:
-        """The ``k`` matching points that are nearest to each of ``points`` (n rows of x, y, z) and at most ``radius`` away:
-        exact, whatever the filter.
+        """The ``k`` matching points that are nearest to each of ``points`` (one place, or rows of x, y, z) and at most
+        ``radius`` away: exact, whatever the filter.
 
         >>> near = store.nearest([[690_000, 5_330_000, 500]], k=3, where="Classification = 2", attributes=["Intensity"])
         >>> len(near), bool((near.distances[:-1] <= near.distances[1:]).all()), near.offsets.tolist()
         (3, True, [0, 3])
         """
-        points = [[float(c) for c in point] for point in points]
+        places = _arguments.places(points)
         options = _arguments.query(keywords)
-        found = self._reader.nearest(options, points, _arguments.whole(k, "k"), radius)
+        radius = _arguments.number(radius, "radius")
+        found = self._reader.nearest(options, places, _count(k, "k"), radius)
         return Neighbors(found[0], options["masked"], *found[1:])
 
     def density(self, side: float, **keywords: Unpack[QueryKeywords]) -> Density:
@@ -318,8 +347,61 @@ class Reader:
         options = _arguments.query({"attributes": [], **keywords})
         return Density(float(side), *self._reader.density(options, side))
 
+    def export(
+        self,
+        path: PathLike,
+        *,
+        format: Optional[str] = None,
+        scale: Optional[Union[float, Sequence[float]]] = None,
+        frame: str = "world",
+        split_by: Optional[str] = None,
+        overwrite: bool = False,
+        progress: Optional[OpenProgress] = None,
+        **keywords: Unpack[ExportedKeywords],
+    ) -> Dict[str, Any]:
+        """Writes the points of :meth:`query` to a LAS, LAZ, PLY, CSV, NPY or NPZ file in bounded memory, as the command
+        line's ``query -o``: the same points in the same order, in the scans' own version, format, scale and offset where
+        these agree. Gives the answer's report, with the files and their points in ``outputs``.
+
+        ``format``
+            ``"las"``, ``"laz"``, ``"ply"``, ``"csv"``, ``"npy"`` or ``"npz"``, if the name of the file does not say.
+        ``scale``
+            LAS and LAZ: coordinates in these steps, one number or one per axis.
+        ``frame``
+            ``"world"``, or ``"scan"`` for one scan as its scanner saw it.
+        ``split_by``
+            ``"scan"`` or ``"class"``: one file for each, ``out_NAME.laz`` or ``out_class2.laz`` for ``out.laz``.
+        ``overwrite``
+            Replace files that are there; otherwise they are an :exc:`ExistsError`.
+        ``progress``
+            Called with ``"writing"``, the points written and ``None`` some ten times a second. What it raises stops the
+            work.
+
+        >>> report = store.export(folder + "/ground.laz", where="Classification = 2", attributes=["Intensity"])
+        >>> report["points"] == store.count(where="Classification = 2"), report["error_bound"]
+        (True, 0.0)
+        >>> parts = store.export(folder + "/part.las", split_by="scan")["outputs"]
+        >>> [(os.path.basename(part["path"]), part["points"]) for part in parts]
+        [('part_site_1.las', 20000), ('part_site_2.las', 20000), ('part_site_3.las', 20000)]
+
+        The file appears when it is complete; Ctrl-C and errors leave nothing.
+        """
+        for word in ("positions", "raw", "masked", "with_scan"):
+            if word in keywords:
+                raise TypeError(f"{word} is about arrays; a file has its own form")
+        output = _arguments.output(format, scale, frame, split_by, overwrite)
+        options = _arguments.query(dict(keywords))
+        report, notes = _esker.export(self._reader, options, path, output, _Listener(progress))
+        for note in notes:
+            _log.warning("%s", note)
+        answer = json.loads(report)
+        if answer["region_misses_site"]:
+            warnings.warn("the region lies outside the site", EskerWarning, stacklevel=2)
+        return answer
+
     def verify(self, deep: bool = False) -> Dict[str, Any]:
-        """Checks that the store is whole; ``deep``: also that every point is where the sampling rule puts it.
+        """Checks that the store is whole; ``deep``: also that every point is where the sampling rule puts it. Ctrl-C
+        interrupts.
 
         >>> store.verify()["whole"]
         True
@@ -338,8 +420,20 @@ class Reader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def __len__(self) -> int:
+        """How many points :meth:`query` gives if it is asked for all: those of all scans that are not hidden."""
+        return self._reader.points()
+
+    def __bool__(self) -> bool:
+        """Also a store without points is one."""
+        return True
+
     def __repr__(self) -> str:
-        return f"<esker.{type(self).__name__} {self._path!r}{' (closed)' if self.closed else ''}>"
+        try:
+            what = "closed" if self.closed else f"{len(self):,} points"
+        except EskerError as error:
+            what = str(error)
+        return f"<esker.{type(self).__name__} {self._path!r}: {what}>"
 
 
 class Snapshot(Reader):
@@ -358,8 +452,12 @@ class Store(Reader):
     def __enter__(self) -> Store:
         return self
 
+    def __init__(self, path: PathLike, cache: Optional[int]) -> None:
+        super().__init__(_esker.Reader(path, cache), path)
+        self._cache_bytes = cache
+
     def __reduce__(self) -> Any:
-        return open_store, (self._path,)
+        return Store, (self._path, self._cache_bytes)
 
     def snapshot(self) -> Snapshot:
         """The present generation, for several questions about the same state.
@@ -409,8 +507,11 @@ class Store(Reader):
         return dict(_changed(_esker.digest, self._path, **keywords))
 
 
-def open_store(path: PathLike) -> Store:
+def open_store(path: PathLike, *, cache: Optional[Union[int, float]] = None) -> Store:
     """Opens a store.
+
+    ``cache`` is how many bytes of what was read are kept in memory at most, for questions about the same places: 352 MiB
+    if nothing is said, 0 for none.
 
     >>> with esker.open(path) as store:
     ...     store.info["points"]
@@ -422,7 +523,11 @@ def open_store(path: PathLike) -> Store:
     Traceback (most recent call last):
     esker.NotThereError: nowhere.esker: there is no such store
     """
-    return Store(_esker.Reader(path), path)
+    if cache is not None:
+        cache = _arguments.whole(cache, "cache")
+        if cache < 0:
+            raise ValueError(f"cache is {cache}; it must be 0 or more bytes")
+    return Store(path, cache)
 
 
 def ingest(
@@ -498,10 +603,17 @@ def generate(
     return [os.fspath(path) for path, _ in files]
 
 
+def _count(value: Union[int, float], what: str) -> int:
+    value = _arguments.whole(value, what)
+    if value < 1:
+        raise ValueError(f"{what} is {value}; it must be 1 or more")
+    return value
+
+
 class _Listener:
     """Who hears of a change."""
 
-    def __init__(self, progress: Optional[Progress]) -> None:
+    def __init__(self, progress: Optional[Callable[..., Any]]) -> None:
         self.progress = progress
         self.say = _log.info
 

@@ -218,7 +218,7 @@ impl Plan {
         let columns = self.columns.iter().map(|c| c.attribute.ty.size());
         let filter = self.filter_columns.iter().map(|c| c.1.size());
         let point_bytes = 24 + columns.chain(filter).sum::<usize>() as u64;
-        self.keeps_blocks = points.saturating_mul(point_bytes) <= self.snapshot.kept_block_bytes() / 4;
+        self.keeps_blocks = points.saturating_mul(point_bytes) <= self.snapshot.kept_block_bytes() / 2;
     }
 
     /// Does `work` for each of the items, on the query's threads; the results are in their order.

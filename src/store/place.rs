@@ -31,7 +31,7 @@ pub struct Limits {
     pub node_bytes: usize,
     /// Bytes of chunks as they are in the file, for all snapshots together.
     pub row_bytes: usize,
-    /// Bytes of decoded blocks, for all snapshots together. What reads more than a quarter of it at once does not go
+    /// Bytes of decoded blocks, for all snapshots together. What reads more than half of it at once does not go
     /// through it.
     pub block_bytes: usize,
 }

@@ -4,7 +4,7 @@ use super::ExportError;
 use crate::formats::{LasTarget, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, LatticeBox, LatticePoint};
-use crate::points::{Batch, Column, LasFacts};
+use crate::points::{Batch, Column, LasFacts, ScalarType};
 use crate::query::OutputForm;
 use crate::store::Snapshot;
 use crate::store::model::Scan;
@@ -49,8 +49,13 @@ pub fn plan(
             merged(snapshot, &scans, scale)?
         }
     };
-    let deep = scans.iter().any(|s| s.color_depth == Some(16));
-    let brighten: Vec<u32> = scans.iter().filter(|s| deep && s.color_depth == Some(8)).map(|s| s.id).collect();
+    // Colours of 8 bits in fields of 16: in fields of 8 they are an attribute of their own.
+    let fields =
+        snapshot.attributes().iter().filter(|a| a.attribute.name == "Red" && a.attribute.ty == ScalarType::U16);
+    let fields: Vec<_> = fields.map(|a| a.id).collect();
+    let of_depth = |s: &Scan, bits: u8| s.color_depth == Some(bits) && s.attributes.iter().any(|a| fields.contains(a));
+    let deep = scans.iter().any(|s| of_depth(s, 16));
+    let brighten: Vec<u32> = scans.iter().filter(|s| deep && of_depth(s, 8)).map(|s| s.id).collect();
     if !brighten.is_empty() {
         notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
     }

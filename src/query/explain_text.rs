@@ -24,7 +24,8 @@ impl Explanation {
         for sum in self.sums() {
             let Sum { nodes, points, taken, .. } = sum;
             let taken = taken.map_or_else(|| "?".to_owned(), |t| t.to_string());
-            writeln!(out, "{:8} {nodes:>8} nodes {points:>14} points {taken:>14} taken  {}", sum.word, sum.reason)?;
+            let line = format!("{:8} {nodes:>8} nodes {points:>14} points {taken:>14} taken  {}", sum.word, sum.reason);
+            writeln!(out, "{}", line.trim_end())?;
         }
         let shown = self.coarsest(most);
         if shown.is_empty() {

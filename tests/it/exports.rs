@@ -1,12 +1,12 @@
 //! Files that hold points of several scans, which differ in what files say of them.
 
-use crate::support::esker_ok;
+use crate::support::{esker, esker_ok};
 use std::collections::BTreeSet;
 use std::fs;
 
-/// Three points in a row from `x`, of these levels of red.
-fn ply(x: i32, red: [u32; 3]) -> String {
-    let properties = "property ushort red\nproperty ushort green\nproperty ushort blue\n";
+/// Three points in a row from `x`, of these levels of red, in fields of this type.
+fn ply(x: i32, ty: &str, red: [u32; 3]) -> String {
+    let properties = format!("property {ty} red\nproperty {ty} green\nproperty {ty} blue\n");
     let head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n";
     let points: String = (x..).zip(red).map(|(x, red)| format!("{x} 0 0 {red} 7 0\n")).collect();
     format!("{head}{properties}end_header\n{points}")
@@ -17,8 +17,8 @@ fn colours_of_8_and_of_16_bits_meet_with_16() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     // Colours of 8 bits in a field of 16, as LAS files have them.
-    fs::write(path("few.ply"), ply(0, [0, 1, 255])).unwrap();
-    fs::write(path("many.ply"), ply(10, [0, 256, 65535])).unwrap();
+    fs::write(path("few.ply"), ply(0, "ushort", [0, 1, 255])).unwrap();
+    fs::write(path("many.ply"), ply(10, "ushort", [0, 256, 65535])).unwrap();
     let store = path("site.esker");
     esker_ok(&["ingest", &store, &path("few.ply"), &path("many.ply")]);
     let colours = |name: &str| -> BTreeSet<(u32, u32, u32)> {
@@ -30,7 +30,11 @@ fn colours_of_8_and_of_16_bits_meet_with_16() {
         let rows = text.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>());
         rows.map(|row| (number(&row, x), number(&row, red), number(&row, green))).collect()
     };
-    esker_ok(&["query", &store, "-o", &path("both.csv")]);
+    let told = esker(&["query", &store, "-o", &path("both.csv")]);
+    assert!(
+        told.status.success() && String::from_utf8_lossy(&told.stderr).contains("all are written with 16"),
+        "{told:?}"
+    );
     let deep = [(10, 0, 7), (11, 256, 7), (12, 65535, 7)];
     let raised = [(0, 0, 7 * 257), (1, 257, 7 * 257), (2, 65535, 7 * 257)];
     assert_eq!(colours("both.csv"), raised.into_iter().chain(deep).collect());
@@ -38,4 +42,20 @@ fn colours_of_8_and_of_16_bits_meet_with_16() {
     esker_ok(&["query", &store, "--split-by", "scan", "-o", &path("one.csv")]);
     assert_eq!(colours("one_few.csv"), [(0, 0, 7), (1, 1, 7), (2, 255, 7)].into());
     assert_eq!(colours("one_many.csv"), deep.into());
+}
+
+#[test]
+fn colours_in_fields_of_8_bits_stay_what_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(path("few.ply"), ply(0, "uchar", [0, 1, 255])).unwrap();
+    fs::write(path("many.ply"), ply(10, "ushort", [0, 256, 65535])).unwrap();
+    let store = path("site.esker");
+    esker_ok(&["ingest", &store, &path("few.ply"), &path("many.ply")]);
+    let told = esker(&["query", &store, "--attributes", "Red", "-o", &path("both.csv")]);
+    assert!(told.status.success() && told.stderr.is_empty(), "{told:?}");
+    let text = fs::read_to_string(path("both.csv")).unwrap();
+    let rows: BTreeSet<&str> = text.lines().skip(1).collect();
+    assert_eq!(text.lines().next(), Some("X,Y,Z,Red,Red"));
+    assert_eq!(rows, ["0,0,0,0,0", "1,0,0,1,0", "2,0,0,255,0", "10,0,0,0,0", "11,0,0,0,256", "12,0,0,0,65535"].into());
 }

@@ -91,7 +91,7 @@ impl StreamWriter {
         if len >= MIN_BYTES {
             let coded = self.coder.count(bytes);
             let many_bits = 8 * coded > FRAME_BITS * len;
-            let repeats = len <= PROBE_BYTES || repeats(bytes);
+            let repeats = repeats(bytes);
             if (many_bits || repeats)
                 && let Some(frame) = self.compress(bytes, repeats)
                 && frame < len.min(if many_bits { coded + coded / FRAME_LOSS } else { coded })

@@ -94,6 +94,8 @@ impl Form {
     fn of(&self, batch: &Batch) -> Summary {
         let positions = &batch.positions;
         let axes = [&positions.x, &positions.y, &positions.z].map(|values| Axis::of(values));
+        // One of the types is f64 already.
+        #[allow(clippy::unnecessary_cast)]
         let column = |((attribute, having), column): (&(Attribute, Option<Vec<ScanId>>), &Column)| {
             let running = if having.is_none() && attribute.no_data.is_none() {
                 with_column!(column, v => Running::of(v.len(), |i| v[i] as f64))

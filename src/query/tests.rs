@@ -141,6 +141,9 @@ fn params() -> impl Strategy<Value = Params> {
 
 const SLACK: f64 = 1.0 + 1e-12;
 
+/// An answer's points, ascending, and its bound.
+type Bounded = (Vec<Point>, Option<f64>);
+
 /// The answers to a query under every capacity, each with its bound: all of the capacity is used, answers nest, and every
 /// bound is kept about `seen`; there is one as soon as there is a point. `all` is how many points there are without one.
 fn under_capacities(
@@ -148,8 +151,8 @@ fn under_capacities(
     query: impl Fn() -> Query,
     all: usize,
     seen: &[Point],
-) -> Result<Vec<(Vec<Point>, Option<f64>)>, TestCaseError> {
-    let mut answers: Vec<(Vec<Point>, Option<f64>)> = Vec::new();
+) -> Result<Vec<Bounded>, TestCaseError> {
+    let mut answers: Vec<Bounded> = Vec::new();
     for capacity in 0..=all + 1 {
         let (found, answer) = collect(query().capacity(capacity as u64), test);
         let found = ascending(found);
@@ -166,7 +169,7 @@ fn under_capacities(
 }
 
 /// More points never have a worse bound; the last one is given.
-fn last_bound(answers: &[(Vec<Point>, Option<f64>)]) -> Result<Option<f64>, TestCaseError> {
+fn last_bound(answers: &[Bounded]) -> Result<Option<f64>, TestCaseError> {
     let mut last: Option<f64> = None;
     for (points, bound) in answers {
         prop_assert!(bound.is_some() || last.is_none(), "{} points and no bound any more", points.len());

@@ -72,7 +72,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let snapshot = store.snapshot()?;
     let query = with_attributes(arguments.which.query(arguments.which.region(&snapshot)?)?, &arguments.attributes);
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
-    let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, false, None)?;
+    let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
     let statistics = serde_json::to_value(&found.statistics)?;
     let Neighbors { mut batch, distances, ends, .. } = found;

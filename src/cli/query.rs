@@ -7,7 +7,7 @@ use crate::formats::OutputFormat;
 use crate::geometry::Camera;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
 use crate::store::{Limits, Snapshot, Store, WorldBounds};
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 
@@ -214,6 +214,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             }
         }
         Some((path, format)) => {
+            if arguments.scale.is_some() && !matches!(format, OutputFormat::Las | OutputFormat::Laz) {
+                bail!("--scale is for LAS and LAZ: in other forms coordinates have no grid of their own");
+            }
             let target = if path == Path::new("-") { Target::StandardOutput } else { Target::File(path) };
             let options = ExportOptions {
                 format: Some(format),

@@ -1,7 +1,8 @@
 //! [`Frame::Scan`](super::Frame::Scan): the points of one scan where its scanner saw them.
 
+use super::plan::is_las;
 use super::{ExportError, Planned};
-use crate::formats::LasTarget;
+use crate::formats::{LasTarget, OutputFormat};
 use crate::geometry::Pose;
 use crate::lattice::{Decimal, Lattice};
 use crate::points::{Batch, Positions};
@@ -44,10 +45,10 @@ impl ScanFrame {
     }
 
     /// Makes the plan one for points in the scan's frame: no CRS, and a grid of the store's quantum, or `scale`.
-    pub fn plan(&self, planned: &mut Planned, scale: Option<[f64; 3]>) -> Result<(), ExportError> {
+    pub fn plan(&self, planned: &mut Planned, format: OutputFormat, scale: Option<[f64; 3]>) -> Result<(), ExportError> {
         let scale = scale.unwrap_or(self.frame.quantum_f64());
         let mut offset = [0.0; 3];
-        for axis in 0..3 {
+        for axis in (0..3).filter(|_| is_las(format)) {
             let (min, max) = (self.bounds.0[axis], self.bounds.1[axis]);
             // Zero, the scanner's place, where it fits: then other scans' files of this kind look the same.
             let fits = |o: f64| (max - o).max(o - min) / scale[axis] < f64::from(i32::MAX) - 1.0;

@@ -179,9 +179,9 @@ fn begin(
 ) -> Result<(Shape, Box<dyn PointWriter>), ExportError> {
     let form = query.output_form(snapshot)?;
     let frame = (options.frame == Frame::Scan).then(|| ScanFrame::of(snapshot, &form)).transpose()?;
-    let mut planned = plan(snapshot, &form, query.asks_for_all_attributes(), options.scale)?;
+    let mut planned = plan(snapshot, &form, format, query.asks_for_all_attributes(), options.scale)?;
     if let Some(frame) = &frame {
-        frame.plan(&mut planned, options.scale)?;
+        frame.plan(&mut planned, format, options.scale)?;
     }
     let create_options = CreateOptions {
         force: options.force,

@@ -1,7 +1,7 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
 use super::ExportError;
-use crate::formats::{LasTarget, OutputPlan};
+use crate::formats::{LasTarget, OutputFormat, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, LatticeBox, LatticePoint};
 use crate::points::{Batch, Column, LasFacts, ScalarType};
@@ -21,7 +21,7 @@ pub struct Planned {
     pub notes: Vec<String>,
 }
 
-/// Plans an output. `all_attributes`: nothing was left out by the user. `scale`: what the user asked for.
+/// Plans an output of this format. `all_attributes`: nothing was left out by the user. `scale`: what the user asked for.
 ///
 /// # Errors
 ///
@@ -29,6 +29,7 @@ pub struct Planned {
 pub fn plan(
     snapshot: &Snapshot,
     form: &OutputForm,
+    format: OutputFormat,
     all_attributes: bool,
     scale: Option<[f64; 3]>,
 ) -> Result<Planned, ExportError> {
@@ -38,6 +39,8 @@ pub fn plan(
     let agreed = scale.is_none().then(|| agreed_facts(&scans)).flatten().filter(|_| all_attributes);
     let las = match agreed {
         Some(facts) => LasTarget::AsSource(facts.clone()),
+        // Other forms have no grid that coordinates must fit.
+        None if !is_las(format) => LasTarget::Merged { scale: site.lattice.quantum_f64(), offset: [0.0; 3] },
         None => {
             if scans.len() > 1 && scans.iter().all(|s| s.las.is_some()) && scale.is_none() && all_attributes {
                 notes.push(
@@ -59,7 +62,20 @@ pub fn plan(
     if !brighten.is_empty() {
         notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
     }
-    let standard = |s: &&Scan| s.las.as_ref().is_some_and(|l| l.global_encoding & 1 == 1);
+    // Scans without times say nothing of them.
+    let has_times = |s: &&&Scan| {
+        let mut names = s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &a.attribute.name);
+        names.any(|name| name == "GpsTime")
+    };
+    let timed: Vec<&&Scan> = scans.iter().filter(has_times).collect();
+    let standard = timed.iter().filter(|s| is_standard(s)).count();
+    if is_las(format) && standard > 0 && standard < timed.len() {
+        notes.push(
+            "GPS times of two kinds meet, standard ones and seconds of a week: written as they are and announced as the \
+             latter; --split-by scan keeps them apart"
+                .to_owned(),
+        );
+    }
     Ok(Planned {
         plan: OutputPlan {
             lattice: site.lattice.clone(),
@@ -68,9 +84,19 @@ pub fn plan(
             las,
         },
         brighten,
-        standard_gps_time: !scans.is_empty() && scans.iter().all(standard),
+        standard_gps_time: standard > 0 && standard == timed.len(),
         notes,
     })
+}
+
+/// Are coordinates 32-bit steps of a grid there?
+pub(super) fn is_las(format: OutputFormat) -> bool {
+    matches!(format, OutputFormat::Las | OutputFormat::Laz)
+}
+
+/// Are its GPS times adjusted standard ones?
+fn is_standard(scan: &Scan) -> bool {
+    scan.las.as_ref().is_some_and(|l| l.global_encoding & 1 == 1)
 }
 
 /// The facts of all scans, if they agree on everything that shapes a record.
@@ -86,6 +112,7 @@ fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
             && first.scale == other.scale
             && first.offset == other.offset
             && first.undescribed_bytes == other.undescribed_bytes
+            && first.global_encoding & 1 == other.global_encoding & 1
             && described(first) == described(other)
     };
     // A scan that was moved has its file's grid no more.

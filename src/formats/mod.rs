@@ -25,5 +25,5 @@ pub use pose_file::read_poses;
 pub use read::{Piece, PointSource, SourceInfo, Tally};
 pub use write::{
     CreateOptions, CreationDate, LasTarget, OutputFormat, OutputPlan, Packed, Packer, PointWriter, Raster,
-    RasterFormat, create, create_standard_output, remove_unfinished, write_raster,
+    RasterFormat, create, create_standard_output, is_database, remove_unfinished, write_raster,
 };

@@ -3,13 +3,14 @@
 mod csv;
 mod destination;
 mod las;
+mod names;
 mod number;
 mod numpy;
 mod ply;
 mod raster;
 mod rows;
 
-pub use destination::remove_unfinished;
+pub use destination::{is_database, remove_unfinished};
 pub use las::CreationDate;
 pub use raster::{Raster, RasterFormat, write_raster};
 
@@ -185,6 +186,10 @@ impl<W: PointWriter> Checked<W> {
 }
 
 impl<W: PointWriter> PointWriter for Checked<W> {
+    fn shown(&self) -> &Path {
+        &self.shown
+    }
+
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
         self.usable()?;
         let written = check_batch(batch, &self.attributes, &self.shown).and_then(|()| self.writer.write(batch));
@@ -271,6 +276,9 @@ impl Packer for AsItIs {
 
 /// A file that is being written: it appears under its name when it is finished, or not at all.
 pub trait PointWriter {
+    /// What messages call the file.
+    fn shown(&self) -> &Path;
+
     /// Appends the points of a batch.
     ///
     /// # Errors
@@ -292,7 +300,7 @@ pub trait PointWriter {
         match packed.0 {
             Form::Points(batch) => self.write(&batch),
             Form::Records(_) => Err(FormatError::Unwritable {
-                path: PathBuf::new(),
+                path: self.shown().into(),
                 reason: "was given what was packed for another writer".into(),
             }),
         }

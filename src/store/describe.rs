@@ -63,6 +63,11 @@ impl WorldBounds {
         let up = LatticePoint(bounds.max.0.map(|i| (i + 1).min(last)));
         Self { min: lattice.world_from_lattice(bounds.min), max: lattice.world_from_lattice(up) }
     }
+
+    /// The least box of these lattice points, on whose maximum there are some: one point has no extent.
+    pub fn closed(lattice: &Lattice, bounds: &LatticeBox) -> Self {
+        Self { min: lattice.world_from_lattice(bounds.min), max: lattice.world_from_lattice(bounds.max) }
+    }
 }
 
 /// A coordinate reference system.

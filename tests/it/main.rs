@@ -15,6 +15,7 @@ mod growth;
 mod histories;
 mod memory;
 mod outofcore;
+mod outputs;
 #[cfg(feature = "render")]
 mod pictures;
 mod places;

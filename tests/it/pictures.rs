@@ -48,6 +48,23 @@ fn colours_reach_the_picture_unchanged() {
     }
 }
 
+/// A store of one place was seen from a quantum away, in a corner.
+#[test]
+fn one_place_is_in_the_middle_of_the_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(path("one.csv"), "x,y,z,red,green,blue\n1,2,3,200,100,50\n1,2,3,200,100,50\n").unwrap();
+    esker_ok(&["ingest", &path("one.esker"), &path("one.csv")]);
+    let look = ["--size", "65x49", "--unlit", "--background", "000000", "-o"];
+    esker_ok(&[&["render", &path("one.esker")], &look[..], &[&path("one.png")]].concat());
+    let (width, height, bytes) = pixels(&path("one.png"));
+    let channels = bytes.len() / (width * height) as usize;
+    let drawn = |(_, p): &(usize, &[u8])| p[..3] == [200, 100, 50];
+    let at: Vec<usize> = bytes.chunks_exact(channels).enumerate().filter(drawn).map(|(i, _)| i).collect();
+    let middle = at.iter().fold([0, 0], |[x, y], i| [x + i % 65, y + i / 65]).map(|sum| sum as f64 / at.len() as f64);
+    assert!((middle[0] - 32.0).abs() <= 1.0 && (middle[1] - 24.0).abs() <= 1.0, "{middle:?} of {} pixels", at.len());
+}
+
 /// Files with room for colours and none in it (all zero, as national LiDAR tiles have them) are shown by something else.
 #[test]
 fn colours_that_are_all_black_are_none() {

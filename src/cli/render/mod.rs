@@ -7,6 +7,7 @@ mod statistics;
 mod walk;
 
 use super::{Outcome, output, values};
+use crate::formats::is_database;
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::LatticeBox;
 use crate::points::Batch;
@@ -99,6 +100,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         if path.exists() && !arguments.force {
             bail!("{}: exists already; use --force to replace it", path.display());
         }
+        if is_database(path) {
+            bail!("{}: is a database, such as a store; give the picture another name", path.display());
+        }
     }
     let mut table = match &arguments.stats {
         Some(path) => {
@@ -179,7 +183,7 @@ fn places(arguments: &Arguments, snapshot: &Snapshot, is_seen: impl Fn(ScanId) -
         arguments.look.kept_box().unwrap_or([[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]]).map(DVec3::from_array);
     let boxes = occupied_boxes(snapshot, is_seen)?;
     let kept = |b: LatticeBox| {
-        let WorldBounds { min, max } = WorldBounds::new(lattice, &b);
+        let WorldBounds { min, max } = WorldBounds::closed(lattice, &b);
         WorldBox::new(DVec3::from_array(min).max(low).to_array(), DVec3::from_array(max).min(high).to_array())
     };
     Ok(boxes.into_iter().filter_map(kept).flat_map(|b| b.corners()).collect())

@@ -5,6 +5,7 @@
 //! others are written as they are stored, floats as the shortest text that reads back as the same number.
 
 use super::destination::Destination;
+use super::names::distinct;
 use super::number::{Exact, push_f32, push_f64, push_signed, push_unsigned};
 use super::{OutputPlan, PointWriter, STANDARD_OUTPUT};
 use crate::formats::FormatError;
@@ -52,6 +53,7 @@ pub(super) struct CsvWriter {
     /// How each scaled attribute is printed.
     scaled: Vec<Option<Scaled>>,
     text: Vec<u8>,
+    notes: Vec<String>,
     sink: CsvSink,
 }
 
@@ -73,16 +75,17 @@ impl CsvWriter {
         };
         let axes = [axis(0)?, axis(1)?, axis(2)?];
         let mut text = b"X,Y,Z".to_vec();
-        for attribute in plan.attributes.iter() {
+        let mut notes = Vec::new();
+        for name in distinct(&plan.attributes, ["X", "Y", "Z"], |a| a.name.clone(), "column", &mut notes) {
             text.push(b',');
-            push_name(&mut text, &attribute.name);
+            push_name(&mut text, &name);
         }
         text.push(b'\n');
         let scaled = plan.attributes.iter().map(|a| {
             let scaling = a.scaling?;
             Some(Exact::of_scaling(scaling).map_or(Scaled::Float(scaling), Scaled::Exact))
         });
-        Ok(Self { axes, attributes: plan.attributes.clone(), scaled: scaled.collect(), text, sink })
+        Ok(Self { axes, attributes: plan.attributes.clone(), scaled: scaled.collect(), text, notes, sink })
     }
 
     fn push_value(&mut self, column: usize, values: &Column, i: usize) {
@@ -149,6 +152,10 @@ fn push_name(text: &mut Vec<u8>, name: &str) {
 }
 
 impl PointWriter for CsvWriter {
+    fn shown(&self) -> &Path {
+        self.sink.shown()
+    }
+
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
         let positions = [&batch.positions.x, &batch.positions.y, &batch.positions.z];
         for i in 0..batch.len() {
@@ -175,7 +182,7 @@ impl PointWriter for CsvWriter {
         if let CsvSink::File(file, destination) = self.sink {
             destination.finish(file)?;
         }
-        let mut notes = Vec::new();
+        let mut notes = self.notes;
         let scaled: Vec<_> = self.attributes.iter().filter(|a| a.scaling.is_some()).map(|a| a.name.as_str()).collect();
         if !scaled.is_empty() {
             notes.push(format!("written as real values, scaled: {}", scaled.join(", ")));

@@ -4,7 +4,7 @@
 use crate::formats::FormatError;
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::{self, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -23,6 +23,16 @@ pub fn remove_unfinished() {
         // The program is ending: there is nobody to tell, and the file may be gone already.
         let _ = fs::remove_file(path);
     }
+}
+
+/// Why a database is left alone: it may be the store that is being read, and its points are nowhere else.
+const DATABASE: &str = "is a database, such as a store; delete it first if its name is to be used";
+
+/// Is the file a database? No output replaces one.
+pub fn is_database(path: &Path) -> bool {
+    let mut head = [0; 16];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    read.is_ok() && &head == b"SQLite format 3\0"
 }
 
 /// A file without its final name. Dropped before [`Destination::finish`], it is deleted.
@@ -51,6 +61,7 @@ impl Destination {
                 return Err(refuse("is not a regular file; `-o -` writes to the standard output"));
             }
             Ok(_) if !force => return Err(FormatError::AlreadyThere { path: path.into() }),
+            Ok(_) if is_database(&target) => return Err(refuse(DATABASE)),
             _ => {}
         }
         let folder = match target.parent() {

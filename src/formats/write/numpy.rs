@@ -5,14 +5,15 @@
 //! is NEP 1 with its version 3 (names in UTF-8): a magic number, a dictionary as text, and the values in C order.
 
 use super::destination::Destination;
+use super::names::distinct;
 use super::rows::{self, Put, Slot};
 use super::{OutputPlan, PointWriter};
 use crate::formats::FormatError;
 use crate::lattice::Lattice;
 use crate::points::{Attribute, Batch, Column, ScalarType};
-use std::collections::HashSet;
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::path::Path;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -27,26 +28,14 @@ struct Field {
 
 /// X, Y, Z, then the attributes; names are unique.
 fn fields(attributes: &[Attribute], notes: &mut Vec<String>) -> Vec<Field> {
-    let mut taken = HashSet::new();
-    let axes = ["X", "Y", "Z"].map(|name| {
-        taken.insert(name.to_owned());
-        Field { name: name.into(), ty: ScalarType::F64 }
-    });
-    let mut fields = Vec::from(axes);
-    for attribute in attributes {
-        let plain = if attribute.name.is_empty() { "unnamed" } else { attribute.name.as_str() };
-        let (mut name, mut number) = (plain.to_owned(), 2);
-        while !taken.insert(name.clone()) {
-            name = format!("{plain}.{number}");
-            number += 1;
-        }
-        if name != attribute.name {
-            notes.push(format!("{} ({}) is field {name}", attribute.name, attribute.ty.word()));
-        }
+    const AXES: [&str; 3] = ["X", "Y", "Z"];
+    let names = distinct(attributes, AXES, |a| a.name.clone(), "field", notes);
+    let of_attribute = |(attribute, name): (&Attribute, String)| {
         let ty = if attribute.scaling.is_some() { ScalarType::F64 } else { attribute.ty };
-        fields.push(Field { name, ty });
-    }
-    fields
+        Field { name, ty }
+    };
+    let axes = AXES.map(|name| Field { name: name.into(), ty: ScalarType::F64 });
+    axes.into_iter().chain(attributes.iter().zip(names).map(of_attribute)).collect()
 }
 
 /// NumPy's word for a type.
@@ -137,6 +126,10 @@ impl NpyWriter {
 }
 
 impl PointWriter for NpyWriter {
+    fn shown(&self) -> &Path {
+        self.destination.shown()
+    }
+
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
         let axes = (0..3).map(|axis| Some(world(&self.lattice, batch, axis)));
         let attributes = batch.attributes.iter().zip(&batch.columns).map(|(a, c)| real(a, c));
@@ -213,6 +206,10 @@ impl NpzWriter {
 }
 
 impl PointWriter for NpzWriter {
+    fn shown(&self) -> &Path {
+        self.destination.shown()
+    }
+
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
         let mut bytes = Vec::new();
         for (i, (field, file, _)) in self.columns.iter_mut().enumerate() {

@@ -4,14 +4,15 @@
 //! attributes their own. Values are as they are stored; a scaling is told in a comment.
 
 use super::destination::Destination;
+use super::names::distinct;
 use super::rows::{self, Put, Slot};
 use super::{OutputPlan, PointWriter};
 use crate::formats::FormatError;
 use crate::lattice::Lattice;
 use crate::points::{Attribute, Batch, Column, ScalarType};
-use std::collections::HashSet;
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
+use std::path::Path;
 
 /// Points that become rows at a time.
 const BLOCK: usize = 8192;
@@ -119,27 +120,19 @@ fn ply_type(ty: ScalarType) -> (&'static str, usize) {
 
 /// Names without spaces, each once.
 fn names(attributes: &[Attribute], notes: &mut Vec<String>) -> Vec<String> {
-    let mut taken: HashSet<String> = ["x", "y", "z"].map(String::from).into();
-    let name = |attribute: &Attribute| {
+    let plain = |attribute: &Attribute| {
         let customary = CUSTOMARY.iter().find(|(a, _)| *a == attribute.name).map(|(_, b)| *b);
         let plain = customary.unwrap_or(&attribute.name);
-        let plain: String = plain.chars().map(|c| if c.is_whitespace() || c.is_control() { '_' } else { c }).collect();
-        let plain = if plain.is_empty() { "unnamed".to_owned() } else { plain };
-        let mut name = plain.clone();
-        let mut number = 2;
-        while !taken.insert(name.clone()) {
-            name = format!("{plain}.{number}");
-            number += 1;
-        }
-        if name != plain {
-            notes.push(format!("{} ({}) is property {name}", attribute.name, attribute.ty.word()));
-        }
-        name
+        plain.chars().map(|c| if c.is_whitespace() || c.is_control() { '_' } else { c }).collect()
     };
-    attributes.iter().map(name).collect()
+    distinct(attributes, ["x", "y", "z"], plain, "property", notes)
 }
 
 impl PointWriter for PlyWriter {
+    fn shown(&self) -> &Path {
+        self.destination.shown()
+    }
+
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
         let converted = (0..batch.columns.len()).map(|c| self.converted(c, &batch.columns[c]));
         let converted: Vec<_> = converted.collect::<Result<_, _>>()?;

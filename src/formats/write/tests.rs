@@ -51,6 +51,29 @@ fn csv_has_exact_coordinates_and_real_values() {
 }
 
 #[test]
+fn csv_has_every_name_once() {
+    // Two scans whose intensities have different types gave a CSV file two columns of one name.
+    let plan = plan(["Intensity", "Intensity", "X"].map(|name| Attribute::new(name, ScalarType::U8)).into());
+    let (bytes, notes) = written(OutputFormat::Csv, &plan, &[]).unwrap();
+    assert_eq!(String::from_utf8(bytes).unwrap(), "X,Y,Z,Intensity,Intensity.2,X.2\n");
+    assert_eq!(notes, ["Intensity (u8) is column Intensity.2", "X (u8) is column X.2"]);
+}
+
+#[test]
+fn what_was_packed_for_another_form_is_refused_by_name() {
+    let plan = plan(Vec::new());
+    let folder = tempfile::tempdir().unwrap();
+    let begun = |name: &str, format| create(&folder.path().join(name), format, &plan, &CreateOptions::default());
+    let packer = begun("a.las", OutputFormat::Las).unwrap().packer();
+    for (name, format) in [("a.csv", OutputFormat::Csv), ("a.ply", OutputFormat::Ply), ("a.npz", OutputFormat::Npz)] {
+        let mut writer = begun(name, format).unwrap();
+        let error =
+            writer.write_packed(packer.pack(batch(&plan, &WORLDS, Vec::new())).unwrap()).unwrap_err().to_string();
+        assert!(error.contains(name) && error.contains("packed for another writer"), "{error}");
+    }
+}
+
+#[test]
 fn ply_has_customary_names_and_the_count_of_all_batches() {
     let plan = plan(vec![
         Attribute::new("Red", ScalarType::U8),

@@ -19,6 +19,7 @@ use integers::{BLOCK, Integers};
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::ops::Range;
+use std::path::Path;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -239,6 +240,10 @@ fn check_count(header: &Header, points: u64) -> Result<(), String> {
 }
 
 impl PointWriter for LasWriter {
+    fn shown(&self) -> &Path {
+        self.destination.shown()
+    }
+
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
         let records = self.packing.records(batch)?;
         self.append(&records)

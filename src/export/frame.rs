@@ -45,7 +45,12 @@ impl ScanFrame {
     }
 
     /// Makes the plan one for points in the scan's frame: no CRS, and a grid of the store's quantum, or `scale`.
-    pub fn plan(&self, planned: &mut Planned, format: OutputFormat, scale: Option<[f64; 3]>) -> Result<(), ExportError> {
+    pub fn plan(
+        &self,
+        planned: &mut Planned,
+        format: OutputFormat,
+        scale: Option<[f64; 3]>,
+    ) -> Result<(), ExportError> {
         let scale = scale.unwrap_or(self.frame.quantum_f64());
         let mut offset = [0.0; 3];
         for axis in (0..3).filter(|_| is_las(format)) {

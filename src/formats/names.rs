@@ -3,8 +3,15 @@
 use crate::points::{ScalarType, canonical_name, same_name};
 use std::collections::HashSet;
 
+const COLOURS: [&str; 3] = ["Red", "Green", "Blue"];
+
 /// PDAL's name where the property is that, by its name and, for colours, its type.
 pub(super) fn attribute_name(name: &str, ty: ScalarType) -> String {
+    // CloudCompare's PLY files say so of every scalar field.
+    let dimension = name
+        .strip_prefix("scalar_")
+        .filter(|rest| canonical_name(rest).is_some_and(|c| same_name(c, rest) && !COLOURS.contains(&c)));
+    let name = dimension.unwrap_or(name);
     let colour = |canonical: &str, old: &str| {
         let named = same_name(name, canonical) || name == old;
         (named && matches!(ty, ScalarType::U8 | ScalarType::U16)).then(|| canonical.to_owned())

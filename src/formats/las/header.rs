@@ -9,6 +9,9 @@ use crate::lattice::SourceGrid;
 
 /// Bytes of the header of LAS 1.0 to 1.2; the least that any version has.
 const LEAST_BYTES: usize = 227;
+/// Scale factors that a lattice may have, and nobody means others.
+const LEAST_SCALE: f64 = 1e-12;
+const GREATEST_SCALE: f64 = 1e6;
 
 /// A header that has been checked.
 #[derive(Clone, Debug)]
@@ -150,9 +153,11 @@ impl Header {
             return Err(file.malformed(105, expected, format!("{record_bytes}")));
         }
         let (scale, offset) = (fields.f64x3(131, 8), fields.f64x3(155, 8));
-        let grid = SourceGrid::from_f64(scale, offset).ok_or_else(|| {
-            let place = if scale.iter().all(|s| s.is_finite() && *s > 0.0) { 155 } else { 131 };
-            file.malformed(place, "positive scale factors and finite offsets", format!("{scale:?} and {offset:?}"))
+        let sensible = scale.iter().all(|s| (LEAST_SCALE..=GREATEST_SCALE).contains(s));
+        let grid = SourceGrid::from_f64(scale, offset).filter(|_| sensible).ok_or_else(|| {
+            let place = if sensible { 155 } else { 131 };
+            let expected = "positive scale factors from 1e-12 to 1e6 and finite offsets";
+            file.malformed(place, expected, format!("{scale:?} and {offset:?}"))
         })?;
         let large = version.1 >= 4;
         Ok(Self {

@@ -163,6 +163,9 @@ fn names_are_pdals_where_they_mean_the_same() {
         ("double gps_time", "GpsTime", "f64"),
         ("float time", "time", "f32"),
         ("uchar diffuse_red", "diffuse_red", "u8"),
+        ("float scalar_Return_Number", "ReturnNumber", "f32"),
+        ("float scalar_C2C_distances", "scalar_C2C_distances", "f32"),
+        ("float scalar_Red", "scalar_Red", "f32"),
         ("uchar alpha", "alpha.2", "u8"),
         ("uchar alpha", "alpha.3", "u8"),
     ];

@@ -2,7 +2,7 @@
 
 use super::survey::Column;
 use crate::formats::names::attribute_name;
-use crate::points::ScalarType::{self, F32, F64, I16, I32, I64, U8, U16};
+use crate::points::ScalarType::{self, F32, F64, I16, I32, I64, U8, U16, U64};
 use crate::points::canonical_name;
 
 /// What a column is.
@@ -41,15 +41,34 @@ pub fn roles(names: &[String]) -> Vec<Role> {
             roles[place] = Role::Attribute(name.to_owned());
         }
     }
+    // So are east and north, where nothing else is.
+    let letter = |letter: &str| names.iter().position(|n| n.eq_ignore_ascii_case(letter));
+    let has = |roles: &[Role], axis| roles.contains(&Role::Axis(axis));
+    if let (Some(e), Some(n), false, false) = (letter("e"), letter("n"), has(&roles, 0), has(&roles, 1)) {
+        if let (Some(h), false) = (letter("h"), has(&roles, 2)) {
+            roles[h] = Role::Axis(2);
+        }
+        if has(&roles, 2) {
+            (roles[e], roles[n]) = (Role::Axis(0), Role::Axis(1));
+        }
+    }
     roles
 }
 
 fn role(name: &str) -> Role {
-    let folded: String = name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect();
-    match &*folded {
-        "x" | "easting" | "east" => Role::Axis(0),
-        "y" | "northing" | "north" => Role::Axis(1),
-        "z" | "elevation" | "height" => Role::Axis(2),
+    let fold = |text: &str| -> String {
+        text.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
+    };
+    // `Easting (m)`, `Z [ft]`.
+    match &*fold(name.split(['(', '[']).next().unwrap_or(name)) {
+        "x" | "xcoord" | "xcoordinate" | "pointx" | "easting" | "east" => return Role::Axis(0),
+        "y" | "ycoord" | "ycoordinate" | "pointy" | "northing" | "north" => return Role::Axis(1),
+        "z" | "zcoord" | "zcoordinate" | "pointz" | "elevation" | "elev" | "altitude" | "height" => {
+            return Role::Axis(2);
+        }
+        _ => {}
+    }
+    match &*fold(name) {
         "" | "skip" => Role::Skip,
         "i" => Role::Attribute("Intensity".into()),
         _ => Role::Attribute(name.to_owned()),
@@ -97,22 +116,70 @@ pub fn named(columns: usize, rest: &[&str]) -> Vec<Role> {
     (0..columns).map(name).collect()
 }
 
-/// The name and the type of an attribute that the file calls `name`; `None` for a column that holds text, or nothing.
-pub fn attribute(name: &str, column: &Column) -> Option<(String, ScalarType)> {
-    if column.text.is_some() || column.numbers == 0 {
-        return None;
+/// What the type of each column follows from: its values in all blocks of a file, and those of the other parts of a colour or
+/// a normal. An attribute that has another type in every scan is many.
+pub struct Kinds(Vec<Column>);
+
+impl Kinds {
+    /// Of columns with these roles, in one or several blocks.
+    pub fn of<'c>(roles: &[Role], blocks: impl IntoIterator<Item = &'c [Column]>) -> Self {
+        let mut kinds = vec![Column::default(); roles.len()];
+        for block in blocks {
+            for (kind, column) in kinds.iter_mut().zip(block).filter(|(_, c)| is_kept(c)) {
+                kind.merge(column.clone());
+            }
+        }
+        for part in [is_color, is_normal] {
+            let of_part = |role: &Role| matches!(role, Role::Attribute(name) if part(name));
+            let mut whole = Column::default();
+            let parts = || roles.iter().enumerate().filter(|(_, role)| of_part(role)).map(|(i, _)| i);
+            parts().filter(|&i| is_kept(&kinds[i])).for_each(|i| whole.merge(kinds[i].clone()));
+            parts().for_each(|i| kinds[i] = whole.clone());
+        }
+        Self(kinds)
     }
+
+    /// The name and the type of the attribute that the file calls `name`, in column `i`; `None` if that holds text, or nothing.
+    pub fn attribute(&self, name: &str, i: usize, column: &Column, format: &str) -> Option<(String, ScalarType)> {
+        let kind = self.0.get(i).filter(|_| is_kept(column))?;
+        let (canonical, ty) = attribute(name, kind);
+        let ty = match format {
+            // A scanner's intensity is a fraction, or a number around zero, as a rule of its format, not of its digits.
+            "ptx" if canonical == "Intensity" => F32,
+            "pts" if canonical == "Intensity" && kind.absent == 0 && kind.within(-2048.0, 2047.0) => I16,
+            _ => ty,
+        };
+        Some((canonical, ty))
+    }
+}
+
+/// Does it hold numbers, and nothing else?
+fn is_kept(column: &Column) -> bool {
+    column.text.is_none() && column.numbers > 0
+}
+
+fn is_color(name: &str) -> bool {
+    matches!(canonical_name(name), Some("Red" | "Green" | "Blue"))
+}
+
+fn is_normal(name: &str) -> bool {
+    matches!(&*attribute_name(name, F32), "NormalX" | "NormalY" | "NormalZ")
+}
+
+fn attribute(name: &str, column: &Column) -> (String, ScalarType) {
     let ty = customary(name, column).unwrap_or_else(|| general(column));
-    let color = matches!(canonical_name(name), Some("Red" | "Green" | "Blue"));
-    if color && !matches!(ty, U8 | U16) {
+    if is_color(name) && !matches!(ty, U8 | U16) {
         // Fractions are no LAS colour.
-        return Some((name.to_ascii_lowercase(), ty));
+        return (name.to_ascii_lowercase(), ty);
     }
-    Some((attribute_name(name, ty), ty))
+    (attribute_name(name, ty), ty)
 }
 
 /// The type that a LAS dimension has, if it has one and the values fit.
 fn customary(name: &str, column: &Column) -> Option<ScalarType> {
+    if is_normal(name) {
+        return Some(float(column));
+    }
     let types: &[ScalarType] = match canonical_name(name)? {
         "GpsTime" => return Some(F64),
         "Red" | "Green" | "Blue" | "Infrared" => &[U8, U16],
@@ -132,12 +199,28 @@ fn customary(name: &str, column: &Column) -> Option<ScalarType> {
 
 /// The smallest type that keeps every number as it is written.
 fn general(column: &Column) -> ScalarType {
-    // Six digits come back from an f32, whatever they are; an f64 keeps fifteen.
-    let short = column.decimal && column.largest_mantissa < 1_000_000 && column.decimals <= 30;
-    if column.plain && column.absent == 0 && column.decimal {
+    if column.plain && column.absent == 0 {
+        // Those that are not wide have 60 bits.
+        if let Some((min, max)) = column.wide {
+            let signed = i128::from(i64::MIN) <= min && max <= i128::from(i64::MAX);
+            let unsigned = column.min >= 0.0 && 0 <= min && max <= i128::from(u64::MAX);
+            return if signed {
+                I64
+            } else if unsigned {
+                U64
+            } else {
+                F64
+            };
+        }
         let fits = |ty: &ScalarType| range(*ty).0 <= column.min && column.max <= range(*ty).1;
         return [I32, I64].into_iter().find(fits).unwrap_or(F64);
     }
+    float(column)
+}
+
+/// Six digits come back from an f32, whatever they are; an f64 keeps fifteen.
+fn float(column: &Column) -> ScalarType {
+    let short = column.decimal && column.largest_mantissa < 1_000_000 && column.decimals <= 30;
     if short { F32 } else { F64 }
 }
 

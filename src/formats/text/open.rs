@@ -1,15 +1,17 @@
 //! Text files opened: where the rows are, what the columns are called.
 
-use super::columns::{Role, axes, guess, named, roles};
+use super::columns::{Kinds, Role, axes, guess, named, roles};
 use super::lines::Lines;
+use super::number::parse;
 use super::sections::{Section, pts, ptx};
-use super::shape::{HEAD_BYTES, names, row};
+use super::shape::{HEAD_BYTES, is_count, names, row, row_at};
 use super::source::{Rows, TextSource};
-use super::survey::{Place, Survey, first_row, survey};
+use super::survey::{Column, Place, first_row, survey};
 use super::words::{Separator, is_comment};
 use crate::formats::file::SourceFile;
 use crate::formats::las::quoted;
 use crate::formats::{FormatError, PointSource};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 type Sources = Result<Vec<Box<dyn PointSource>>, FormatError>;
@@ -26,7 +28,8 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
     let mut lines = Lines::new(&file, start, file.bytes());
     let mut header: Option<Vec<String>> = None;
     let mut begin = start;
-    let mut separator = Separator::Blank;
+    let (mut separator, mut comma) = (Separator::Blank, false);
+    let mut announced = None;
     while let Some(line) = lines.next()? {
         let (bytes, offset) = (line.bytes, line.offset);
         if bytes.trim_ascii().is_empty() {
@@ -38,25 +41,21 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
             header = own.or(header);
             continue;
         }
-        let numbers = match (row(bytes), columns) {
-            (Some(found), _) => Some(found),
-            // Where the user says what is what, coordinates need not come first.
-            (None, Some(columns)) => {
-                let found = Separator::of(bytes);
-                let comma = found == Separator::Byte(b';');
-                let place = axes(&roles(columns)).unwrap_or([0, 1, 2]);
-                let words: Vec<_> = found.words(bytes).collect();
-                let number = |&i: &usize| words.get(i).is_some_and(|w| super::number::parse(w, comma).is_some());
-                place.iter().all(number).then_some(found)
-            }
-            (None, None) => None,
-        };
-        if let Some(found) = numbers {
-            (separator, begin) = (found, offset);
+        // Where names say what is what, coordinates need not come first.
+        let place = columns.or(header.as_deref()).and_then(|names| axes(&roles(names)));
+        let numbers = place.map_or_else(|| row(bytes), |place| row_at(bytes, place));
+        if let Some((found, decimal)) = numbers {
+            (separator, comma, begin) = (found, decimal, offset);
             break;
         }
+        // Below the names there may be how many rows there are.
+        if (header.is_some() || columns.is_some()) && announced.is_none() && is_count(bytes) {
+            announced = parse(bytes.trim_ascii(), false).map(|n| n.value as u64);
+            begin = lines.offset();
+            continue;
+        }
         let named_axes = own.is_some() || columns.is_some();
-        if header.is_some() || !named_axes {
+        if header.is_some() && own.is_none() || !named_axes {
             let shown = quoted(&bytes.trim_ascii()[..bytes.trim_ascii().len().min(60)]);
             let expected = "a row of numbers, or a line that names x, y and z (--columns names them otherwise)";
             return Err(file.malformed(offset, expected, shown));
@@ -77,17 +76,26 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
         start: begin,
         end: file.bytes(),
         separator,
-        comma: separator == Separator::Byte(b';'),
+        comma,
         axes: chosen.as_deref().and_then(axes).unwrap_or([0, 1, 2]),
         zero_is_nothing: false,
     };
     let survey = survey(&file, &place)?;
     let roles = chosen.clone().unwrap_or_else(|| guess(&survey.columns));
     let guessed = (chosen.is_none() && roles.len() > 3).then(|| understood(&roles));
-    let rows = Rows { file, format: "text", place, survey, announced: None };
-    let mut source = TextSource::new(rows, &roles, false);
+    let named = chosen.as_ref().map_or(0, Vec::len);
+    let lacking = (survey.rows > 0 && named > survey.columns.len()).then(|| {
+        format!(
+            "{named} columns are named, rows have {}: names with blanks in them? --columns names them",
+            survey.columns.len()
+        )
+    });
+    let commas = (comma && separator == Separator::Blank).then(|| "commas are taken as decimal points".to_owned());
+    let kinds = Kinds::of(&roles, [survey.columns.as_slice()]);
+    let rows = Rows { file, format: "text", place, survey, announced };
+    let mut source = TextSource::new(rows, &roles, &kinds, false);
     source.info.options = options;
-    source.info.warnings.extend(guessed);
+    source.info.warnings.extend([guessed, lacking, commas].into_iter().flatten());
     Ok(vec![Box::new(source)])
 }
 
@@ -117,9 +125,9 @@ pub fn open_ptx(file: SourceFile, columns: Option<&[String]>) -> Sources {
 }
 
 fn blocks(file: &Arc<SourceFile>, format: &'static str, sections: &[Section], columns: Option<&[String]>) -> Sources {
-    let mut sources: Vec<Box<dyn PointSource>> = Vec::new();
-    for (index, section) in (0..).zip(sections) {
-        let chosen = columns.map(roles);
+    let chosen = columns.map(roles);
+    let mut looked = Vec::with_capacity(sections.len());
+    for section in sections {
         let place = Place {
             start: section.start,
             end: section.end,
@@ -128,18 +136,28 @@ fn blocks(file: &Arc<SourceFile>, format: &'static str, sections: &[Section], co
             axes: chosen.as_deref().and_then(axes).unwrap_or([0, 1, 2]),
             zero_is_nothing: format == "ptx",
         };
-        let survey = survey(file, &place)?;
-        let roles = chosen.unwrap_or_else(|| block_columns(&survey));
+        looked.push((section, place, survey(file, &place)?));
+    }
+    let mut sources: Vec<Box<dyn PointSource>> = Vec::new();
+    // Blocks with as many columns have the same types.
+    let all: Vec<Vec<Column>> = looked.iter().map(|(_, _, survey)| survey.columns.clone()).collect();
+    let mut known = HashMap::new();
+    for (index, (section, place, survey)) in (0..).zip(looked) {
+        let (kinds, roles) = known.entry(survey.columns.len()).or_insert_with_key(|&width| {
+            let roles = chosen.clone().unwrap_or_else(|| block_columns(width));
+            let alike = all.iter().map(Vec::as_slice).filter(|columns| columns.len() == width);
+            (Kinds::of(&roles, alike), roles)
+        });
         let nothing = survey.nothing;
         let rows = Rows { file: file.clone(), format, place, survey, announced: section.announced };
-        let mut source = TextSource::new(rows, &roles, !section.pose.is_identity());
+        let mut source = TextSource::new(rows, roles, kinds, !section.pose.is_identity());
         source.info.index = index;
         source.info.pose = section.pose;
         if let Some(columns) = columns {
             source.info.options = format!("columns {}", columns.join(","));
         }
         if nothing > 0 {
-            source.info.warnings.push(format!("{nothing} rows are zeros: nothing came back there"));
+            source.info.warnings.push(format!("rows of zeros, where nothing came back: {nothing}"));
         }
         if let Err(error) = section.pose.rigid_scale() {
             source.info.warnings.push(format!("the transform of block {} is applied as it stands: {error}", index + 1));
@@ -150,14 +168,14 @@ fn blocks(file: &Arc<SourceFile>, format: &'static str, sections: &[Section], co
 }
 
 /// The columns of a row of a block: x, y, z, then intensity or a colour or both.
-fn block_columns(survey: &Survey) -> Vec<Role> {
-    let rest: &[&str] = match survey.columns.len() {
+fn block_columns(columns: usize) -> Vec<Role> {
+    let rest: &[&str] = match columns {
         4 => &["Intensity"],
         6 => &["Red", "Green", "Blue"],
         7 => &["Intensity", "Red", "Green", "Blue"],
         _ => &[],
     };
-    named(survey.columns.len(), rest)
+    named(columns, rest)
 }
 
 fn understood(roles: &[Role]) -> String {

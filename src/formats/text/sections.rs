@@ -3,7 +3,7 @@
 use super::lines::Lines;
 use super::number::parse;
 use super::shape::is_count;
-use super::words::Separator;
+use super::words::{Separator, is_comment};
 use crate::formats::FormatError;
 use crate::formats::file::SourceFile;
 use crate::formats::las::quoted;
@@ -110,7 +110,7 @@ fn header(file: &SourceFile, columns: &Mark, rows: &Mark) -> Result<Section, For
 fn has_rows(file: &SourceFile, start: u64, end: u64) -> Result<bool, FormatError> {
     let mut lines = Lines::new(file, start, end);
     while let Some(line) = lines.next()? {
-        if !line.bytes.trim_ascii().is_empty() {
+        if !line.bytes.trim_ascii().is_empty() && !is_comment(line.bytes) {
             return Ok(true);
         }
     }

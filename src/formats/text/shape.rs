@@ -25,7 +25,17 @@ pub fn shape(head: &[u8]) -> Option<Shape> {
         return None;
     }
     let mut lines = head.split(|&b| b == b'\n').filter(|l| !l.trim_ascii().is_empty());
-    let first = lines.by_ref().find(|l| !is_comment(l))?;
+    let named = |line: &[u8]| names(line).and_then(|n| axes(&roles(&n)));
+    let mut header = None;
+    let first = lines.by_ref().find(|l| {
+        header = named(l).or(header);
+        !is_comment(l)
+    })?;
+    if let Some(axes) = header {
+        // CloudCompare writes how many points there are below the names of the columns.
+        let mut rows = [first].into_iter().chain(lines).skip_while(|l| named(l).is_some() || is_count(l));
+        return rows.next().is_none_or(|l| row_at(l, axes).is_some()).then_some(Shape::Rows);
+    }
     if is_count(first) {
         let next: Vec<_> = lines.take(9).collect();
         let numbers = |line: &[u8]| Separator::Blank.words(line).map(|w| parse(w, false)).collect::<Option<Vec<_>>>();
@@ -39,11 +49,7 @@ pub fn shape(head: &[u8]) -> Option<Shape> {
             _ => None,
         };
     }
-    if row(first).is_some() {
-        return Some(Shape::Rows);
-    }
-    let named = names(first).is_some_and(|n| axes(&roles(&n)).is_some());
-    (named && lines.next().is_none_or(|l| row(l).is_some())).then_some(Shape::Rows)
+    row(first).map(|_| Shape::Rows)
 }
 
 /// Is it one whole number, alone?
@@ -52,19 +58,27 @@ pub fn is_count(line: &[u8]) -> bool {
     !line.is_empty() && line.len() < 20 && line.iter().all(u8::is_ascii_digit)
 }
 
-/// How the words of a row of numbers are separated; `None` if it is no such row.
-pub fn row(line: &[u8]) -> Option<Separator> {
-    let separator = Separator::of(line);
-    let comma = separator == Separator::Byte(b';');
-    let mut words = separator.words(line);
-    let three = (0..3).all(|_| words.next().is_some_and(|w| !w.is_empty() && parse(w, comma).is_some()));
-    three.then_some(separator)
+/// How the words of a row of numbers are separated, and whether a comma is a decimal point; `None` if it is no such row.
+pub fn row(line: &[u8]) -> Option<(Separator, bool)> {
+    row_at(line, [0, 1, 2]).filter(|(separator, _)| separator.words(line).take(3).all(|w| !w.is_empty()))
+}
+
+/// As [`row`], where it is known that coordinates are at these places; each may be missing.
+pub fn row_at(line: &[u8], axes: [usize; 3]) -> Option<(Separator, bool)> {
+    Separator::styles(line).find(|&(separator, comma)| {
+        let number = |at: usize| separator.words(line).nth(at).is_some_and(|w| parse(w, comma).is_some());
+        axes.into_iter().all(number)
+    })
 }
 
 /// The words of a line as names; `None` unless there are three at least.
 pub fn names(line: &[u8]) -> Option<Vec<String>> {
     let line = line.trim_ascii();
     let line = line.strip_prefix(b"//").or(line.strip_prefix(b"#")).unwrap_or(line).trim_ascii();
-    let words: Vec<_> = Separator::of(line).words(line).map(|w| String::from_utf8_lossy(w).into_owned()).collect();
+    // What is not UTF-8 is Latin-1 most likely.
+    let text = |word: &[u8]| {
+        std::str::from_utf8(word).map_or_else(|_| word.iter().map(|&b| char::from(b)).collect(), str::to_owned)
+    };
+    let words: Vec<_> = Separator::of(line).words(line).map(text).collect();
     (words.len() >= 3).then_some(words)
 }

@@ -1,13 +1,13 @@
 //! Rows that have been looked through, as a [`PointSource`].
 
-use super::columns::{Role, attribute};
+use super::columns::{Kinds, Role};
 use super::survey::{Column, Place, Survey};
 use super::table::{Cell, Coordinates, Table};
 use crate::formats::file::SourceFile;
 use crate::formats::names::unique;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::lattice::{Decimal, SourceGrid};
-use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout, ScalarType};
+use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout};
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -33,8 +33,8 @@ pub struct Rows {
 }
 
 impl TextSource {
-    /// The rows with these columns. `floats`: positions are not to be on a grid.
-    pub fn new(rows: Rows, roles: &[Role], floats: bool) -> Self {
+    /// The rows with these columns and types. `floats`: positions are not to be on a grid.
+    pub fn new(rows: Rows, roles: &[Role], kinds: &Kinds, floats: bool) -> Self {
         let Rows { file, format, place, survey, announced } = rows;
         let mut warnings = Vec::new();
         let coordinates = match grid(&survey, &place) {
@@ -53,24 +53,20 @@ impl TextSource {
         for (i, role) in roles.iter().enumerate() {
             let cell = match (role, survey.columns.get(i)) {
                 (Role::Axis(axis), _) => Cell::Axis(*axis),
-                (Role::Attribute(name), Some(column)) => {
-                    match attribute(name, column) {
-                        Some((canonical, ty)) => {
-                            // A scanner's intensity is a fraction; as a rule of its format, not of its digits.
-                            let ty = if format == "ptx" && canonical == "Intensity" { ScalarType::F32 } else { ty };
-                            let canonical = unique(canonical, name, ty, &mut taken);
-                            let at = end;
-                            end += ty.size();
-                            let field = Field { offset: at - start, kind: FieldKind::Whole };
-                            fields.push((Attribute::new(canonical, ty), field));
-                            Cell::Value(at, ty)
-                        }
-                        None => {
-                            warnings.extend(not_kept(name, column));
-                            Cell::Skip
-                        }
+                (Role::Attribute(name), Some(column)) => match kinds.attribute(name, i, column, format) {
+                    Some((canonical, ty)) => {
+                        let canonical = unique(canonical, name, ty, &mut taken);
+                        let at = end;
+                        end += ty.size();
+                        let field = Field { offset: at - start, kind: FieldKind::Whole };
+                        fields.push((Attribute::new(canonical, ty), field));
+                        Cell::Value(at, ty)
                     }
-                }
+                    None => {
+                        warnings.extend(not_kept(name, column));
+                        Cell::Skip
+                    }
+                },
                 _ => Cell::Skip,
             };
             cells.push(cell);

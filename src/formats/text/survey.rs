@@ -35,6 +35,8 @@ pub struct Column {
     pub whole: bool,
     /// Are all numbers written without a point and an exponent?
     pub plain: bool,
+    /// The least and the greatest of those that have too many digits for [`Number::decimal`].
+    pub wide: Option<(i128, i128)>,
     /// Are all numbers written without an exponent, and finite?
     pub decimal: bool,
     /// The most digits behind the point that are not trailing zeros, of the decimal ones.
@@ -53,6 +55,7 @@ impl Default for Column {
             text: None,
             whole: true,
             plain: true,
+            wide: None,
             decimal: true,
             decimals: 0,
             largest_mantissa: 0,
@@ -64,7 +67,7 @@ impl Default for Column {
 
 impl Column {
     #[inline]
-    fn add(&mut self, number: Number) {
+    fn add(&mut self, number: Number, word: &[u8]) {
         if number.value.is_nan() {
             self.absent += 1;
             return;
@@ -86,18 +89,30 @@ impl Column {
             }
             None => {
                 self.decimal = false;
-                self.plain = false;
+                match std::str::from_utf8(word).ok().and_then(|w| w.parse::<i128>().ok()) {
+                    Some(whole) => self.widen((whole, whole)),
+                    None => self.plain = false,
+                }
                 self.whole &= number.value.fract() == 0.0;
             }
         }
     }
 
-    fn merge(&mut self, other: Self) {
+    fn widen(&mut self, (min, max): (i128, i128)) {
+        let (least, greatest) = self.wide.unwrap_or((min, max));
+        self.wide = Some((least.min(min), greatest.max(max)));
+    }
+
+    /// Adds what another part of the rows holds in this column.
+    pub fn merge(&mut self, other: Self) {
         self.numbers += other.numbers;
         self.absent += other.absent;
         self.text = self.text.take().or(other.text);
         self.whole &= other.whole;
         self.plain &= other.plain;
+        if let Some(wide) = other.wide {
+            self.widen(wide);
+        }
         self.decimal &= other.decimal;
         self.decimals = self.decimals.max(other.decimals);
         self.largest_mantissa = self.largest_mantissa.max(other.largest_mantissa);
@@ -246,7 +261,7 @@ fn chunk(file: &SourceFile, place: &Place, start: u64, end: u64) -> Result<Surve
             let column = &mut found.columns[words];
             match number {
                 Some(number) => {
-                    column.add(number);
+                    column.add(number, word);
                     if let Some(axis) = axis {
                         coordinates[axis] = number.value;
                     }

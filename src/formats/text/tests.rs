@@ -71,6 +71,19 @@ fn any_separator_and_any_header_give_the_same_points() {
         "\"X\", \"Y\", \"Z\"\n1.5 , 2, -3\n4,5,6\n",
         "Easting\tNorthing\tHeight\n1.5\t2\t-3\n4\t5\t6\n",
         "z y x\n-3 2 1.5\n6 5 4\n",
+        // Decimal commas between tabs and blanks; even columns; cells that are empty or hold blanks and commas.
+        "1,5\t2\t-3,0\n4\t5\t6\n",
+        "1,5 2,0  -3\n4,0 5 6,0\n",
+        "1.5 2\t-3\n4 5\t6\n",
+        "x\t\ty\t\tz\n1.5\t\t2\t\t-3\n4\t\t5\t\t6\n",
+        "Name\tX\tY\tZ\nP 1\t1.5\t2\t-3\n\t4\t5\t6\n",
+        "Name,X,Y,Z\nP1,1.5,2,-3\n\"a \"\"b\"\", c\" ,4,5,6\n",
+        "Easting (m),Northing (m),Elevation (m)\n1.5,2,-3\n4,5,6\n",
+        "POINT_X;POINT_Y;POINT_Z\n1.5;2;-3\n4;5;6\n",
+        "ID,E,N,H\nA,1.5,2,-3\nB,4,5,6\n",
+        // CloudCompare's, with the count.
+        "//X Y Z\n2\n1.5 2 -3\n4 5 6\n",
+        "# x y z\nx,y,z\n1.5,2,-3\n4,5,6\n",
     ];
     for text in texts {
         let all = opened("a.xyz", text);
@@ -88,8 +101,8 @@ fn columns_without_names_are_known_by_their_values() {
         ("1 2 3 -4\n", &["Intensity i16"]),
         ("1 2 3 0.25\n", &["Intensity f32"]),
         ("1 2 3 4 5 6\n", &["Blue u8", "Green u8", "Red u8"]),
-        ("1 2 3 4 5 600\n", &["Blue u16", "Green u8", "Red u8"]),
-        ("1 2 3 0.1 -1 0\n", &["NormalX f32", "NormalY i32", "NormalZ i32"]),
+        ("1 2 3 4 5 600\n", &["Blue u16", "Green u16", "Red u16"]),
+        ("1 2 3 0.1 -1 0\n", &["NormalX f32", "NormalY f32", "NormalZ f32"]),
         ("1 2 3 -9 255 0 0\n1 2 3 9 0 0 1\n", &["Blue u8", "Green u8", "Intensity i16", "Red u8"]),
         ("1 2 3 117.0 73.0 49.0 255.0\n1 2 3 1.0 2.0 3.0 255.0\n", &["Alpha f32", "Blue u8", "Green u8", "Red u8"]),
     ];
@@ -115,6 +128,45 @@ fn types_are_the_smallest_that_keep_what_is_written() {
     let warnings = all[0].info().warnings.join("; ");
     assert!(warnings.contains("column `label` is not kept: it holds words (`oak` at byte 67)"), "{warnings}");
     assert!(warnings.contains("column `empty` is not kept: it holds no number"), "{warnings}");
+}
+
+#[test]
+fn whole_numbers_keep_all_their_digits() {
+    let all = opened(
+        "a.csv",
+        "x,y,z,a,b,c\n1,2,3,18446744073709551615,-5,1\n1,2,3,7,9007199254740993,99999999999999999999\n",
+    );
+    assert_eq!(attributes(&*all[0]), ["a u64", "b i64", "c f64"]);
+    assert_eq!(column(&*all[0], "a"), Column::U64(vec![u64::MAX, 7]));
+    assert_eq!(column(&*all[0], "b"), Column::I64(vec![-5, 9_007_199_254_740_993]));
+    // Nineteen digits were rounded to an f64's sixteen.
+    let all = opened("a.csv", "x,y,z,a\n1,2,3,9223372036854775807\n1,2,3,-9223372036854775808\n");
+    assert_eq!(column(&*all[0], "a"), Column::I64(vec![i64::MAX, i64::MIN]));
+}
+
+#[test]
+fn the_parts_of_a_colour_have_one_type() {
+    // Blue alone is whole: it was a colour of eight bits beside two fractions.
+    let all = opened("a.txt", "X Y Z R G B nx ny nz\n1 2 3 0.5 0.25 1 0 0 1\n4 5 6 1 0 0 0.6 0.8 0\n");
+    assert_eq!(attributes(&*all[0]), ["NormalX f32", "NormalY f32", "NormalZ f32", "blue f32", "green f32", "red f32"]);
+}
+
+#[test]
+fn names_that_do_not_fit_the_rows_are_told() {
+    let warnings = |text: &str| opened("a.txt", text)[0].info().warnings.join(";");
+    assert!(warnings("//X Y Z C2C distances\n1 2 3 4\n").contains("5 columns are named, rows have 4"));
+    assert_eq!(warnings("X\tY\tZ\tC2C distances\n1\t2\t3\t4\n"), "");
+    assert_eq!(warnings("1,5 2 3\n"), "commas are taken as decimal points");
+    let missing = |text: &str| opened("a.asc", text)[0].info().missing;
+    assert_eq!(missing("//X Y Z\n3\n1 2 3\n4 5 6\n"), 1);
+    // A cell that is empty, and not the end of a column.
+    let all = opened("a.txt", "x\ty\tz\ta\tb\n1\t2\t3\t\t5\n4\t5\t6\t7\t8\n");
+    assert_eq!(column(&*all[0], "b"), Column::I32(vec![5, 8]));
+    // Names in Latin-1.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.csv");
+    std::fs::write(&path, b"x,y,z,h\xf6he 2\n1,2,3,4\n").unwrap();
+    assert_eq!(attributes(&*open_all(&path, &ReadOptions::default()).unwrap()[0]), ["h\u{f6}he 2 i32"]);
 }
 
 #[test]
@@ -162,6 +214,17 @@ fn blocks_of_pts_are_sources() {
     assert_eq!(info("1 2 3 4 5 6 7\n"), (1, 0, String::new()));
 }
 
+#[test]
+fn blocks_of_a_file_have_the_same_types() {
+    // An intensity was u16 in a block that happened to have none below zero: two attributes of one name.
+    let types = |text: &str| opened("a.pts", text).iter().map(|s| attributes(&**s).join(" ")).collect::<Vec<_>>();
+    assert_eq!(types("1\n1 2 3 -9\n1\n1 2 3 9\n"), ["Intensity i16"; 2]);
+    assert_eq!(types("1\n1 2 3 9\n"), ["Intensity i16"]);
+    assert_eq!(types("1\n1 2 3 9\n1\n1 2 3 9999\n"), ["Intensity u16"; 2]);
+    assert_eq!(types("1\n1 2 3 0.5\n1\n1 2 3 1\n"), ["Intensity f32"; 2]);
+    assert_eq!(types("1\n1 2 3 9 9 9\n1\n1 2 3 9 9 999\n"), ["Blue u16 Green u16 Red u16"; 2]);
+}
+
 const PTX: &str = "2\n2\n100 200 300\n1 0 0\n0 1 0\n0 0 1\n0 1 0 0\n-1 0 0 0\n0 0 1 0\n100 200 300 1\n\
                    1 2 3 0.5 10 20 30\n0 0 0 0.500000 0 0 0\n4 5 6 0.25 1 2 3\n7 8 9 1 0 0 0\n";
 
@@ -175,7 +238,7 @@ fn blocks_of_ptx_are_placed_by_their_transforms() {
     assert_eq!(placed[0], [98.0, 201.0, 303.0]);
     assert!(placed[1].iter().all(|v| v.is_nan()));
     assert_eq!(all[0].info().pose.scanner(), [100.0, 200.0, 300.0]);
-    assert!(all[0].info().warnings[0].contains("1 rows are zeros"));
+    assert!(all[0].info().warnings[0].contains("rows of zeros, where nothing came back: 1"));
     assert_eq!(attributes(&*all[0]), ["Blue u8", "Green u8", "Intensity f32", "Red u8"]);
     assert_eq!(column(&*all[0], "Intensity"), Column::F32(vec![0.5, 0.5, 0.25, 1.0]));
     assert_eq!(positions(&*all[1])[3], [7.0, 8.0, 9.0]);

@@ -1,13 +1,16 @@
 //! `esker verify`: is the store whole?
 
 use super::{Outcome, output};
-use crate::store::{Store, verify};
+use crate::store::{Report, Store, verify};
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
+
+/// Damage that is told in words; the rest is counted.
+const TOLD: usize = 20;
 
 /// Checks that a store is whole: checksums, counts, bounds, zone maps, and that no point was lost.
 ///
@@ -63,12 +66,43 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             output::counted(report.scans, "scan"),
         ))?;
     } else {
-        for finding in &report.findings {
-            eprintln!("esker: {}: damaged: {}", arguments.store.display(), output::clean(&finding.to_string()));
-        }
-        if report.more_findings > 0 {
-            eprintln!("esker: {} more", output::grouped(report.more_findings));
+        for line in damage(&report) {
+            eprintln!("esker: {}: {line}", arguments.store.display());
         }
     }
     Ok(if report.is_whole() { Outcome::Done } else { Outcome::Damaged })
+}
+
+/// What is damaged, line by line.
+fn damage(report: &Report) -> Vec<String> {
+    let told = report.findings.iter().take(TOLD);
+    let mut lines: Vec<_> = told.map(|f| format!("damaged: {}", output::clean(&f.to_string()))).collect();
+    let more = report.findings.len().saturating_sub(TOLD) as u64 + report.more_findings;
+    if more > 0 {
+        lines.push(format!("{} more; --json names the first thousand", output::grouped(more)));
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Finding;
+
+    #[test]
+    fn much_damage_is_told_in_few_lines() {
+        let finding = |i: usize| Finding { table: "chunk".into(), key: i.to_string(), what: "bad\u{1b}".into() };
+        let report = |n: usize, more_findings| Report {
+            findings: (0..n).map(finding).collect(),
+            more_findings,
+            ..Report::default()
+        };
+        assert_eq!(
+            damage(&report(2, 0)),
+            ["damaged: table chunk, 0: bad\u{fffd}", "damaged: table chunk, 1: bad\u{fffd}"]
+        );
+        assert_eq!(damage(&report(20, 0)).len(), 20);
+        let lines = damage(&report(1000, 234));
+        assert_eq!((lines.len(), lines[20].as_str()), (21, "1,214 more; --json names the first thousand"));
+    }
 }

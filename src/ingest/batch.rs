@@ -250,13 +250,13 @@ fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
     let mut warnings = source.warnings.clone();
     if tally.rejected.out_of_range > 0 {
         warnings.push(format!(
-            "{} points are outside the lattice; a store with a coarser --quantum would hold them",
+            "outside the lattice, where a store with a coarser --quantum has room: {} of the points",
             tally.rejected.out_of_range
         ));
     }
     if tally.rejected.not_finite > 0 {
         warnings.push(format!(
-            "{} points have no valid position: a coordinate is NaN or infinite, or the scanner marked it so",
+            "without a valid position (a coordinate is NaN or infinite, or the scanner marked it so): {} of the points",
             tally.rejected.not_finite
         ));
     }

@@ -368,6 +368,34 @@ fn a_first_filling_goes_straight_into_the_file_and_the_flip_through_the_log() {
 }
 
 #[test]
+fn a_transaction_that_is_larger_than_the_cache_is_in_nobodys_way() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    let mut writer = store.writer().unwrap();
+    writer.expect_many().unwrap();
+    // A byte less than ends it. Pages that left the cache before that would lock readers out until the end.
+    let row = |bytes: usize, writer: &Writer| ChunkRow {
+        id: writer.chunk_ids().reserve(1),
+        layer: 0,
+        cube: elsewhere(),
+        part: 0,
+        slot: 0,
+        points: 1,
+        bytes: vec![7; bytes],
+    };
+    for i in 0..16 {
+        let row = row((1 << 20) - usize::from(i == 0), &writer);
+        writer.put_chunks(&[row]).unwrap();
+    }
+    assert!(journal(&path).exists(), "the transaction has ended");
+    assert!(std::fs::metadata(&path).unwrap().len() < 1 << 20, "pages are in the file already");
+    let impatient = Connection::open(&path).unwrap();
+    impatient.busy_timeout(Duration::ZERO).unwrap();
+    let generation = impatient.query_row("SELECT generation FROM site", [], |row| row.get::<_, i64>(0));
+    assert_eq!(generation.unwrap(), 0);
+}
+
+#[test]
 fn readers_of_a_store_that_is_first_filled_are_never_refused() {
     let (_folder, path) = folder();
     let store = Store::create(&path, options()).unwrap();

@@ -36,11 +36,12 @@ impl Content {
     }
 }
 
-/// What the library answers, and for which generation.
-fn ask(store: &Store) -> (u64, Answer, Duration) {
+/// What the library answers, and for which generation; `after` so long with a snapshot that has read nothing.
+fn ask(store: &Store, after: Duration) -> (u64, Answer, Duration) {
     let begun = Instant::now();
     let snapshot = store.snapshot().unwrap();
     let waited = begun.elapsed();
+    std::thread::sleep(after);
     let query = Query::new().region(Region::new_box([LOW; 3], [HIGH; 3]).unwrap());
     let (batch, answer) = query.collect(&snapshot).unwrap();
     assert_eq!(answer.points, query.count(&snapshot).unwrap().points);
@@ -115,9 +116,13 @@ fn readers_see_committed_generations_while_scans_come_and_go() {
             scope.spawn(|| {
                 let own = Store::open(&store).unwrap();
                 let held = own.snapshot().unwrap();
-                let first = ask(&own);
-                while !done.load(Ordering::Relaxed) {
-                    let (generation, points, waited) = ask(&own);
+                let first = ask(&own, Duration::ZERO);
+                // At once, or when the snapshot's transactions have been renewed and others have committed meanwhile.
+                for after in [0, 0, 0, 250].into_iter().cycle().map(Duration::from_millis) {
+                    if done.load(Ordering::Relaxed) {
+                        break;
+                    }
+                    let (generation, points, waited) = ask(&own, after);
                     let known = expected.lock().unwrap().get(&generation).map(|content| content.inside.clone());
                     assert_eq!(known, Some(points), "generation {generation}");
                     waits.lock().unwrap().push(waited);

@@ -157,6 +157,8 @@ fn names_that_do_not_fit_the_rows_are_told() {
     assert!(warnings("//X Y Z C2C distances\n1 2 3 4\n").contains("5 columns are named, rows have 4"));
     assert_eq!(warnings("X\tY\tZ\tC2C distances\n1\t2\t3\t4\n"), "");
     assert_eq!(warnings("1,5 2 3\n"), "commas are taken as decimal points");
+    // Also where no name says that it is text.
+    assert_eq!(opened("a", "//X Y Z\n2\n1 2 3\n4 5 6\n")[0].info().records, 2);
     let missing = |text: &str| opened("a.asc", text)[0].info().missing;
     assert_eq!(missing("//X Y Z\n3\n1 2 3\n4 5 6\n"), 1);
     // A cell that is empty, and not the end of a column.

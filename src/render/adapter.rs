@@ -5,7 +5,7 @@ use super::RenderError;
 /// Part of the name of the adapter that is wanted, as other programs on wgpu read it.
 const ADAPTER_NAME: &str = "WGPU_ADAPTER_NAME";
 
-/// The machine's graphics interfaces, or those of `WGPU_BACKEND` (`vulkan`, `metal`, `dx12`, `gl`; several with commas).
+/// The machine's graphics interfaces, or those of `WGPU_BACKEND` (`vulkan`, `metal`, `dx12`; several with commas).
 pub fn instance() -> wgpu::Instance {
     wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env())
 }

@@ -49,8 +49,12 @@ fn no_output_takes_the_place_of_a_store() {
     for command in commands {
         esker_fails(&[command, &to_store].concat(), 1, &["a.esker: is a database, such as a store"]);
     }
-    esker_fails(&["generate", "torus", "--points", "10", "-o", &store, "--force"], 1, &["a.esker"]);
-    assert_eq!(fs::read(&store).unwrap(), bytes);
+    esker_fails(&[&["render", &store, "--size", "64x48"], &to_store[..]].concat(), 1, &["a.esker: is a database"]);
+    // Whatever it is called.
+    fs::copy(&store, at("b.las")).unwrap();
+    let torus = ["generate", "torus", "--points", "10", "-o", &at("b.las"), "--force"];
+    esker_fails(&torus, 1, &["b.las: is a database"]);
+    assert_eq!([fs::read(&store).unwrap(), fs::read(at("b.las")).unwrap()], [bytes.clone(), bytes]);
     // Anything else that is there is replaced.
     esker_ok(&["query", &store, "-o", &at("a.xyz"), "--format", "csv", "--force"]);
     assert!(fs::read_to_string(at("a.xyz")).unwrap().starts_with("X,Y,Z\n"));

@@ -31,3 +31,24 @@ pub(super) fn unless<R>(
         result
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    #[test]
+    fn a_statement_ends_once_it_is_to_stop_and_the_next_does_not() {
+        // Longer than a test may take.
+        const LONG: &str =
+            "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 200000000) SELECT max(i) FROM n";
+        let connection = Connection::open_in_memory().unwrap();
+        let count = |c: &Connection, sql: &str| c.query_row(sql, [], |row| row.get::<_, i64>(0));
+        let begun = AtomicBool::new(false);
+        // Not at the first question: the statement is under way by the second.
+        let stop = || begun.swap(true, Ordering::Relaxed);
+        let ended = unless(&connection, stop, |c| Ok(count(c, LONG)?));
+        assert!(ended.is_err(), "{ended:?}");
+        assert_eq!(unless(&connection, || false, |c| Ok(count(c, "SELECT 7")?)).unwrap(), 7);
+    }
+}

@@ -5,9 +5,9 @@
 #
 # Each site is a generated terrain; the scans are five squares of it, moved by some centimetres, so they overlap as much of
 # the site as they cover. Other sites: a `site-MILLIONS.esker` in the folder with the seconds of its first ingest in
-# `site-MILLIONS.seconds`.
-# Prints the seconds of the first ingest, the median and the range of the seconds of adding and of removing, and the rows
-# of encoded columns that adding wrote (median). Sites that are there are used again.
+# `site-MILLIONS.seconds` and the rows that it wrote in `site-MILLIONS.built`.
+# Prints the seconds and rows of encoded columns of the first ingest, and medians and ranges of the seconds of adding and of
+# removing and of the rows that they wrote. Sites that are there are used again.
 #
 # ESKER: the program to measure, instead of the release build of this tree.
 set -eu
@@ -36,9 +36,11 @@ for millions in "$@"; do
     site=$folder/site-$millions
     if [ ! -e "$site.esker" ]; then
         [ -e "$site.las" ] || "$ESKER" generate terrain --points "${millions}M" -o "$site.las"
-        "$ESKER" ingest "$site.esker" "$site.las" --json | number seconds > "$site.seconds"
+        built=$("$ESKER" ingest "$site.esker" "$site.las" --json)
+        echo "$built" | number seconds > "$site.seconds"
+        echo "$built" | number chunks_written > "$site.built"
     fi
-    rm -f "$site.points" "$site.added" "$site.removed" "$site.rows"
+    rm -f "$site.points" "$site.added" "$site.removed" "$site.rows" "$site.rewritten"
     for place in 0.05,0.15 0.3,0.4 0.45,0.5 0.6,0.2 0.75,0.45; do
         scan=$site-scan-$place.las
         if [ ! -e "$scan" ]; then
@@ -54,8 +56,11 @@ for millions in "$@"; do
         echo "$added" | number points >> "$site.points"
         echo "$added" | number seconds >> "$site.added"
         echo "$added" | number chunks_written >> "$site.rows"
-        "$ESKER" remove "$site.esker" scan --json | number seconds >> "$site.removed"
+        removed=$("$ESKER" remove "$site.esker" scan --json)
+        echo "$removed" | number seconds >> "$site.removed"
+        echo "$removed" | number chunks_written >> "$site.rewritten"
     done
-    echo "$millions M points: built in $(cat "$site.seconds") s; $(spread "$site.points") points added in $(spread "$site.added") s," \
-        "$(spread "$site.rows") rows written; removed in $(spread "$site.removed") s"
+    echo "$millions M points: built in $(cat "$site.seconds") s, $(cat "$site.built") rows;" \
+        "$(spread "$site.points") points added in $(spread "$site.added") s, $(spread "$site.rows") rows;" \
+        "removed in $(spread "$site.removed") s, $(spread "$site.rewritten") rows"
 done

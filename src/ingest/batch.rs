@@ -12,6 +12,7 @@ use super::progress::Stage;
 use super::reading::{Read, Reading};
 use super::report::{Report, ScanReport, Stages};
 use super::sources::Source;
+use super::writing::Written;
 use crate::lattice::{Cube, Exactness, Key, Lattice, SourceMap};
 use crate::points::{Attribute, Crs, ScalarType};
 use crate::store::model::{Scan, ScanId};
@@ -82,8 +83,9 @@ pub(super) fn add(
     context.progress.stage(Stage::Build, new_points);
     let new = NewScans { plans: &plans, scans: &scans };
     let edits = stages
-        .time(Stage::Build, new_points, || build(context, snapshot, writer, batch, &new, &room, buckets, report))?;
+        .time(Stage::Build, new_points, || build(context, snapshot, writer, batch, &new, &room, buckets))?;
     context.go_on()?;
+    report.chunks_written += edits.iter().map(|e| e.chunks).sum::<u64>();
 
     context.progress.stage(Stage::Commit, new_points);
     let scans_removed = batch.replaced.to_vec();
@@ -122,7 +124,6 @@ impl NewScans<'_> {
 }
 
 /// Puts the new points where they belong, and takes those of replaced scans away.
-#[expect(clippy::too_many_arguments, reason = "all of one step of `add`, which has them as variables")]
 fn build(
     context: &Context<'_>,
     snapshot: Snapshot,
@@ -131,7 +132,6 @@ fn build(
     new: &NewScans<'_>,
     room: &Room,
     buckets: Vec<Bucket>,
-    report: &mut Report,
 ) -> Result<Vec<Edit>, IngestError> {
     let site = snapshot.site();
     let order = Arc::new(ScanOrder::new(snapshot.scans().iter().chain(new.scans), writer.attributes()));
@@ -160,7 +160,6 @@ fn build(
                     edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
                 }
             }
-            report.chunks_written = edits.iter().map(|e| e.chunks).sum();
             return Ok(edits);
         }
     }
@@ -175,8 +174,9 @@ fn build(
         drop(snapshot);
         let ids = writer.chunk_ids();
         let layer = Layer { layer: into, params, root, scans: &columns, table: &table, ids };
-        let put = room.write(context, writer, &layer, buckets)?;
-        edits.push(Edit { layer: into, root: Some(root), put, ..Edit::default() });
+        let written = room.write(context, writer, &layer, buckets)?;
+        let Written { nodes: put, chunks } = written;
+        edits.push(Edit { layer: into, root: Some(root), put, chunks, ..Edit::default() });
     }
     Ok(edits)
 }

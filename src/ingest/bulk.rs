@@ -10,9 +10,10 @@ use super::queue::Queue;
 use super::rows::RowKey;
 use super::spill::Spill;
 use super::subtrees::with_subtrees;
+use super::writing::Written;
 use crate::lattice::{Cube, Key, Lattice, LatticeBox};
 use crate::octree::Params;
-use crate::store::model::{NodeHead, Site, Zones};
+use crate::store::model::Site;
 use crate::store::{ChunkIds, EncodedNode, ScanTable, StoreError, Writer};
 
 /// Where rows wait for their nodes: memory, or one temporary file.
@@ -93,26 +94,27 @@ impl Room {
         if self.wide { build::<Key>(&plan, buckets) } else { build::<u64>(&plan, buckets) }
     }
 
-    /// Builds, encodes and writes; gives the rows of all nodes.
+    /// Builds, encodes and writes.
     pub fn write(
         &self,
         context: &Context<'_>,
         writer: &mut Writer,
         layer: &Layer<'_>,
         buckets: Vec<Bucket>,
-    ) -> Result<Vec<(NodeHead, Zones)>, IngestError> {
+    ) -> Result<Written, IngestError> {
         writer.expect_many()?;
         let queue = Queue::new(self.budget.queue_bytes);
-        let nodes = std::thread::scope(|scope| {
+        let written = std::thread::scope(|scope| {
             let writing = scope.spawn(|| {
                 let _leaves = queue.leaves();
-                let mut heads = Vec::new();
+                let mut written = Written::default();
                 while let Some(mut node) = queue.pop() {
                     node.renumber(&layer.ids);
                     writer.put_chunks(&node.chunks)?;
-                    heads.push((node.head, node.zones));
+                    written.chunks += node.chunks.len() as u64;
+                    written.nodes.push((node.head, node.zones));
                 }
-                Ok::<_, StoreError>(heads)
+                Ok::<_, StoreError>(written)
             });
             let ends = queue.ends();
             let sink = |node: EncodedNode| {
@@ -128,11 +130,11 @@ impl Room {
             match (built, written) {
                 (_, Err(error)) => Err(error.into()),
                 (Err(error), Ok(_)) => Err(error),
-                (Ok(()), Ok(heads)) => Ok(heads),
+                (Ok(()), Ok(written)) => Ok(written),
             }
         })?;
         context.go_on()?;
-        Ok(with_subtrees(nodes))
+        Ok(Written { nodes: with_subtrees(written.nodes), ..written })
     }
 }
 

@@ -120,7 +120,9 @@ pub(super) fn rebuild(
     let source = Source { snapshot, layers, ids: writer.chunk_ids(), attributes: writer.attributes().to_vec() };
     source.built(context, into, wanted, |room, layer, buckets| {
         edit.root = Some(layer.root);
-        edit.put = room.write(context, writer, layer, buckets)?;
+        let written = room.write(context, writer, layer, buckets)?;
+        edit.put = written.nodes;
+        edit.chunks = written.chunks;
         edit.points = edit.put.iter().map(|(head, _)| head.own_points).sum();
         Ok(())
     })?;

@@ -191,7 +191,7 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
         let ids = writer.chunk_ids();
         let layer = Layer { layer: 0, params: params(site), root, scans: &columns, table: &table, ids };
         context.progress.stage(Stage::Build, points);
-        flip.nodes = NodeChange::ReplaceAll(room.write(context, writer, &layer, buckets)?);
+        flip.nodes = NodeChange::ReplaceAll(room.write(context, writer, &layer, buckets)?.nodes);
         flip.roots = Some(vec![Some(root)]);
     }
     merged.points = points;

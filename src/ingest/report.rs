@@ -23,7 +23,7 @@ pub struct Report {
     pub temp_bytes_predicted: u64,
     /// Bytes of the temporary file that were used.
     pub temp_bytes: u64,
-    /// Rows of encoded columns that were written into trees that were there before.
+    /// Rows of encoded columns that were written, of the new points and of what changed around them.
     pub chunks_written: u64,
     /// Where the time went.
     pub stages: Vec<StageReport>,

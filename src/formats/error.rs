@@ -29,6 +29,18 @@ pub enum FormatError {
         /// What is.
         found: String,
     },
+    /// The same of a text, whose places are lines.
+    #[error("{path}: line {line}: expected {expected}, found {found}")]
+    MalformedLine {
+        /// The file.
+        path: PathBuf,
+        /// Where, from 1.
+        line: u64,
+        /// What should be there.
+        expected: String,
+        /// What is.
+        found: String,
+    },
     /// A valid file that Esker does not read.
     #[error("{path}: {what} is not supported{remedy}")]
     Unsupported {

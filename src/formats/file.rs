@@ -63,6 +63,31 @@ impl SourceFile {
         FormatError::Malformed { path: self.path.clone(), offset, expected: expected.into(), found: found.into() }
     }
 
+    /// [`FormatError::MalformedLine`] for the line that holds the byte `offset` of this file.
+    pub fn malformed_line(&self, offset: u64, expected: impl Into<String>, found: impl Into<String>) -> FormatError {
+        let (expected, found) = (expected.into(), found.into());
+        match self.line_at(offset) {
+            Ok(line) => FormatError::MalformedLine { path: self.path.clone(), line, expected, found },
+            Err(error) => error,
+        }
+    }
+
+    /// The number of the line that holds the byte `offset`, from 1. Reads all that comes before.
+    pub fn line_at(&self, offset: u64) -> Result<u64, FormatError> {
+        let mut buffer = vec![0; 1 << 16];
+        let (mut at, mut line) = (0, 1);
+        while at < offset {
+            let rest = usize::try_from(offset - at).unwrap_or(usize::MAX).min(buffer.len());
+            let read = self.read_up_to(&mut buffer[..rest], at)?;
+            if read == 0 {
+                break;
+            }
+            line += buffer[..read].iter().filter(|&&b| b == b'\n').count() as u64;
+            at += read as u64;
+        }
+        Ok(line)
+    }
+
     /// [`FormatError::Unsupported`] for this file; `remedy` is empty or says what to do.
     pub fn unsupported(&self, what: impl Into<String>, remedy: &str) -> FormatError {
         FormatError::unsupported(&self.path, what, remedy)

@@ -46,7 +46,7 @@ impl<'a> Words<'a> {
             let length = match word.iter().position(u8::is_ascii_whitespace) {
                 Some(length) => length,
                 None if word.len() > LONGEST_WORD => {
-                    return Err(self.file.malformed(offset, "a number", quoted(&word[..20])));
+                    return Err(self.file.malformed_line(offset, "a number", quoted(&word[..20])));
                 }
                 // The word may go on beyond the buffer.
                 None if self.refill()? => continue,
@@ -74,7 +74,7 @@ impl<'a> Words<'a> {
         let file = self.file;
         let Some((word, offset)) = self.next()? else { return Ok(None) };
         let value = parse(word, ty).ok_or_else(|| {
-            file.malformed(offset, format!("a value of type {}", ty.word()), quoted(&word[..word.len().min(40)]))
+            file.malformed_line(offset, format!("a value of type {}", ty.word()), quoted(&word[..word.len().min(40)]))
         })?;
         Ok(Some(value))
     }

@@ -204,9 +204,9 @@ fn text_coordinates_are_the_numbers_as_written() {
     let source = opened(format!("{head}-0.66641 nan 1e3\n\n 1 2\n3").as_bytes());
     assert_eq!(column(&*source, "x"), Column::F64(vec![-0.66641, 1.0]));
     assert_eq!(column(&*source, "z"), Column::F64(vec![1000.0, 3.0]));
-    for (text, place, bad) in [("1 2 x 4 5 6", 4, "x"), ("1 2 3 4 5 six", 10, "six")] {
+    for (text, line, bad) in [("1 2 x 4 5 6", 8, "x"), ("1 2 3\n4 5 six", 9, "six")] {
         let error = records(&*opened(format!("{head}{text}").as_bytes()), 1).unwrap_err().to_string();
-        let expected = format!("at byte {}: expected a value of type f64, found `{bad}`", head.len() + place);
+        let expected = format!("line {line}: expected a value of type f64, found `{bad}`");
         assert!(error.contains(&expected), "{error}");
     }
     let bytes = head.replace("float x", "uchar x");

@@ -73,7 +73,11 @@ impl<'a> Lines<'a> {
                 Some(length) => (length, false),
                 None if rest.len() > LONGEST_LINE => {
                     let shown = quoted(&rest[..20]);
-                    return Err(self.file.malformed(offset, "a line of text", format!("{shown} and no end of it")));
+                    return Err(self.file.malformed_line(
+                        offset,
+                        "a line of text",
+                        format!("{shown} and no end of it"),
+                    ));
                 }
                 None if self.refill()? => continue,
                 None if self.at == self.filled => return Ok(None),

@@ -58,7 +58,7 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
         if header.is_some() && own.is_none() || !named_axes {
             let shown = quoted(&bytes.trim_ascii()[..bytes.trim_ascii().len().min(60)]);
             let expected = "a row of numbers, or a line that names x, y and z (--columns names them otherwise)";
-            return Err(file.malformed(offset, expected, shown));
+            return Err(file.malformed_line(offset, expected, shown));
         }
         header = own.or_else(|| names(bytes)).or(Some(Vec::new()));
         begin = lines.offset();
@@ -119,7 +119,7 @@ pub fn open_ptx(file: SourceFile, columns: Option<&[String]>) -> Sources {
     let file = Arc::new(file);
     let sections = ptx(&file, text_start(&file)?)?;
     if sections.is_empty() {
-        return Err(file.malformed(0, "a block of points", "none"));
+        return Err(file.malformed_line(0, "a block of points", "none"));
     }
     blocks(&file, "ptx", &sections, columns)
 }

@@ -67,7 +67,7 @@ pub fn ptx(file: &SourceFile, start: u64) -> Result<Vec<Section>, FormatError> {
         sections.push(header(file, &pair[0], &pair[1])?);
     }
     if let [mark] = pairs.remainder() {
-        return Err(file.malformed(mark.start, "the columns and the rows of a block, a line each", "one number"));
+        return Err(file.malformed_line(mark.start, "the columns and the rows of a block, a line each", "one number"));
     }
     Ok(sections)
 }
@@ -81,7 +81,7 @@ fn header(file: &SourceFile, columns: &Mark, rows: &Mark) -> Result<Section, For
         let width = if number < 4 { 3 } else { 4 };
         let (numbers, offset, shown) = loop {
             let Some(line) = lines.next()? else {
-                return Err(file.malformed(file.bytes(), "the transform of a block", "the end of the file"));
+                return Err(file.malformed_line(file.bytes(), "the transform of a block", "the end of the file"));
             };
             if !line.bytes.trim_ascii().is_empty() {
                 let numbers: Option<Vec<f64>> =
@@ -96,13 +96,13 @@ fn header(file: &SourceFile, columns: &Mark, rows: &Mark) -> Result<Section, For
                     matrix[row].copy_from_slice(numbers);
                 }
             }
-            _ => return Err(file.malformed(offset, format!("{width} numbers of a block's header"), shown)),
+            _ => return Err(file.malformed_line(offset, format!("{width} numbers of a block's header"), shown)),
         }
     }
     // The file has row vectors: the translation is its last row.
     let m: [f64; 16] = std::array::from_fn(|i| matrix[i % 4][i / 4]);
-    let pose =
-        Pose::from_matrix(&m).map_err(|e| file.malformed(columns.start, "a block with a transform", e.to_string()))?;
+    let pose = Pose::from_matrix(&m)
+        .map_err(|e| file.malformed_line(columns.start, "a block with a transform", e.to_string()))?;
     let start = lines.offset();
     Ok(Section { start, end: file.bytes(), announced: Some(columns.count.saturating_mul(rows.count)), pose })
 }
@@ -131,7 +131,7 @@ fn marks(file: &SourceFile, start: u64) -> Result<Vec<Mark>, FormatError> {
                     let count = parse(line.bytes.trim_ascii(), false).map_or(f64::INFINITY, |n| n.value);
                     let (start, count) = (line.offset, count as u64);
                     if found.len() == MOST_MARKS {
-                        return Err(file.malformed(start, "rows of points", "one number a line"));
+                        return Err(file.malformed_line(start, "rows of points", "one number a line"));
                     }
                     found.push(Mark { start, end: lines.offset(), count });
                 }
@@ -141,7 +141,7 @@ fn marks(file: &SourceFile, start: u64) -> Result<Vec<Mark>, FormatError> {
         .collect::<Result<_, FormatError>>()?;
     let all: Vec<Mark> = parts.into_iter().flatten().collect();
     match all.get(MOST_MARKS) {
-        Some(mark) => Err(file.malformed(mark.start, "rows of points", "one number a line")),
+        Some(mark) => Err(file.malformed_line(mark.start, "rows of points", "one number a line")),
         None => Ok(all),
     }
 }

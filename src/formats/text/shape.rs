@@ -2,7 +2,7 @@
 
 use super::columns::{axes, roles};
 use super::number::parse;
-use super::words::{Separator, is_comment};
+use super::words::{Separator, is_comment, without_mark};
 
 /// Bytes that are looked at.
 pub const HEAD_BYTES: u64 = 1 << 16;
@@ -73,8 +73,7 @@ pub fn row_at(line: &[u8], axes: [usize; 3]) -> Option<(Separator, bool)> {
 
 /// The words of a line as names; `None` unless there are three at least.
 pub fn names(line: &[u8]) -> Option<Vec<String>> {
-    let line = line.trim_ascii();
-    let line = line.strip_prefix(b"//").or(line.strip_prefix(b"#")).unwrap_or(line).trim_ascii();
+    let line = without_mark(line).trim_ascii();
     // What is not UTF-8 is Latin-1 most likely.
     let text = |word: &[u8]| {
         std::str::from_utf8(word).map_or_else(|_| word.iter().map(|&b| char::from(b)).collect(), str::to_owned)

@@ -63,7 +63,7 @@ impl TextSource {
                         Cell::Value(at, ty)
                     }
                     None => {
-                        warnings.extend(not_kept(name, column));
+                        warnings.extend(not_kept(&file, name, column));
                         Cell::Skip
                     }
                 },
@@ -121,11 +121,12 @@ impl TextSource {
     }
 }
 
-fn not_kept(name: &str, column: &Column) -> Option<String> {
+fn not_kept(file: &SourceFile, name: &str, column: &Column) -> Option<String> {
     let shown = |text: &str| text.escape_default().to_string();
     match &column.text {
         Some((at, word)) => {
-            Some(format!("column `{}` is not kept: it holds words (`{}` at byte {at})", shown(name), shown(word)))
+            let place = file.line_at(*at).map_or_else(|_| String::new(), |line| format!(" in line {line}"));
+            Some(format!("column `{}` is not kept: it holds words (`{}`{place})", shown(name), shown(word)))
         }
         None if column.absent > 0 => Some(format!("column `{}` is not kept: it holds no number", shown(name))),
         None => None,

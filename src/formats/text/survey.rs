@@ -215,7 +215,7 @@ pub fn count_rows(file: &SourceFile, place: &Place, words: usize) -> Result<Vec<
         let mut lines = Lines::new(file, begin, start.saturating_add(CHUNK_BYTES).min(place.end));
         let mut rows = 0;
         while let Some(line) = lines.next()? {
-            let row = !line.bytes.trim_ascii_start().is_empty() && !is_comment(line.bytes);
+            let row = !line.bytes.trim_ascii_start().is_empty() && !place.separator.is_comment(line.bytes);
             let cut = line.unfinished && place.separator.words(line.bytes).count() < words;
             rows += u64::from(row && !cut);
         }
@@ -244,14 +244,14 @@ fn chunk(file: &SourceFile, place: &Place, start: u64, end: u64) -> Result<Surve
     let mut lines = Lines::new(file, start, end);
     let mut coordinates = [0.0; 3];
     while let Some(line) = lines.next()? {
-        if line.bytes.trim_ascii_start().is_empty() || is_comment(line.bytes) {
+        if line.bytes.trim_ascii_start().is_empty() || place.separator.is_comment(line.bytes) {
             continue;
         }
         let mut words = 0;
         let mut bad = None;
         for word in place.separator.words(line.bytes) {
             if words == MOST_COLUMNS {
-                return Err(file.malformed(line.offset, format!("a row of at most {MOST_COLUMNS} words"), "more"));
+                return Err(file.malformed_line(line.offset, format!("a row of at most {MOST_COLUMNS} words"), "more"));
             }
             if words == found.columns.len() {
                 found.columns.push(Column { absent: found.rows, ..Column::default() });
@@ -312,5 +312,5 @@ fn undo(found: &mut Survey, words: usize) {
 fn no_row(file: &SourceFile, line: &Line<'_>, bad: Option<&[u8]>) -> FormatError {
     let shown = line.bytes.trim_ascii();
     let found = bad.unwrap_or(shown);
-    file.malformed(line.offset, "a row of numbers with x, y and z", quoted(&found[..found.len().min(40)]))
+    file.malformed_line(line.offset, "a row of numbers with x, y and z", quoted(&found[..found.len().min(40)]))
 }

@@ -3,7 +3,6 @@
 use super::lines::{Line, Lines};
 use super::number::{Number, parse};
 use super::survey::{Chunk, Place};
-use super::words::is_comment;
 use crate::formats::file::SourceFile;
 use crate::formats::las::quoted;
 use crate::formats::{FormatError, Piece, Tally};
@@ -82,7 +81,7 @@ impl Table {
         let mut lines = Lines::new(&self.file, start, self.place.end);
         while tally.read + (records.len() / self.stride) as u64 != piece.records {
             let Some(line) = lines.next()? else { break };
-            if line.bytes.trim_ascii_start().is_empty() || is_comment(line.bytes) {
+            if line.bytes.trim_ascii_start().is_empty() || self.place.separator.is_comment(line.bytes) {
                 continue;
             }
             if skip > 0 {
@@ -125,7 +124,7 @@ impl Table {
 
     fn row(&self, line: &Line<'_>, record: &mut [u8]) -> Result<(), FormatError> {
         let bad = |word: &[u8], expected: &str| {
-            self.file.malformed(line.offset, expected, quoted(&word[..word.len().min(40)]))
+            self.file.malformed_line(line.offset, expected, quoted(&word[..word.len().min(40)]))
         };
         let mut position = [f64::NAN; 3];
         let mut cells = self.cells.iter();

@@ -39,6 +39,14 @@ impl Separator {
         styles.into_iter().take(count).filter(|s| s.0).map(|(_, separator, comma)| (separator, comma))
     }
 
+    /// Is the line a remark among rows? No row is taken for one.
+    pub fn is_comment(self, line: &[u8]) -> bool {
+        match line.trim_ascii_start() {
+            [b';', ..] => self != Self::Byte(b';'),
+            line => is_comment(line),
+        }
+    }
+
     /// The words of `line`, without blanks and quotes around them.
     pub fn words(self, line: &[u8]) -> Words<'_> {
         let trimmed = line.trim_ascii();
@@ -124,8 +132,23 @@ fn unquoted(word: &[u8]) -> &[u8] {
     }
 }
 
-/// Is the line a remark?
+/// Is the line a remark, where it is not known what separates words?
 pub fn is_comment(line: &[u8]) -> bool {
     let line = line.trim_ascii_start();
-    line.starts_with(b"#") || line.starts_with(b"//")
+    match line {
+        [b'#' | b'%', ..] | [b'/', b'/', ..] => true,
+        // With others after it, it may separate a first word that is not there from the second.
+        [b';', rest @ ..] => !rest.contains(&b';'),
+        _ => false,
+    }
+}
+
+/// A remark without the mark before it; other lines as they are.
+pub fn without_mark(line: &[u8]) -> &[u8] {
+    let line = line.trim_ascii();
+    match line {
+        [b'/', b'/', rest @ ..] => rest,
+        [_, rest @ ..] if is_comment(line) => rest,
+        _ => line,
+    }
 }

@@ -37,7 +37,11 @@ fn print(snapshot: &Snapshot, info: &Description) -> std::io::Result<()> {
     let unit = info.unit.unwrap_or("unit unknown");
     output::line(format_args!("points       {}", output::grouped(info.points)))?;
     output::line(format_args!("scans        {}", info.scans))?;
-    output::line(format_args!("nodes        {} on {} levels", output::grouped(info.nodes), info.levels))?;
+    output::line(format_args!(
+        "nodes        {} on {}",
+        output::grouped(info.nodes),
+        output::counted(info.levels.into(), "level")
+    ))?;
     output::line(format_args!("lattice      {} ({unit})", super::ingest::describe(&site.lattice)))?;
     if let Some(spacing) = info.root_spacing {
         output::line(format_args!("spacing      {spacing} at the root"))?;

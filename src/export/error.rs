@@ -30,7 +30,7 @@ pub enum ExportError {
     /// LAS has 32 bits for a coordinate.
     #[error(
         "the points are {width} units wide on axis {axis}, too wide for 32-bit coordinates in steps of {scale}; give a \
-         coarser scale, or split by scan"
+         coarser scale, a smaller region, or split by scan"
     )]
     TooWide {
         /// How wide, in CRS units.

@@ -79,6 +79,11 @@ pub struct Exported {
 /// [`ExportError::Ending`]
 pub fn format_of(path: &Path) -> Result<OutputFormat, ExportError> {
     let ending = path.extension().and_then(|e| e.to_str()).unwrap_or("");
+    // A LAZ file without the octree that this name promises.
+    let stem = path.file_stem().map(Path::new);
+    if stem.and_then(Path::extension).is_some_and(|e| e.eq_ignore_ascii_case("copc")) {
+        return Err(ExportError::Ending { path: path.into(), ending: format!("copc.{ending}") });
+    }
     OutputFormat::of_extension(ending).ok_or_else(|| ExportError::Ending { path: path.into(), ending: ending.into() })
 }
 

@@ -49,7 +49,7 @@ pub fn plan(
                         .to_owned(),
                 );
             }
-            merged(snapshot, &scans, scale)?
+            merged(snapshot, &scans, form.bounds, scale)?
         }
     };
     // Colours of 8 bits in fields of 16: in fields of 8 they are an attribute of their own.
@@ -122,22 +122,26 @@ fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
     all.then_some(first)
 }
 
-/// The store's own grid, or a scale of the user's, around the middle of the contributing scans.
-fn merged(snapshot: &Snapshot, scans: &[&Scan], scale: Option<[f64; 3]>) -> Result<LasTarget, ExportError> {
+/// The store's own grid, or a scale of the user's, around the middle of the contributing scans, so that the files of
+/// neighbouring regions have one grid; around the middle of the answer where scans are too wide for that.
+fn merged(
+    snapshot: &Snapshot,
+    scans: &[&Scan],
+    answer: Option<LatticeBox>,
+    scale: Option<[f64; 3]>,
+) -> Result<LasTarget, ExportError> {
     let lattice = &snapshot.site().lattice;
     let bounds = scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    let bounds = bounds.unwrap_or(LatticeBox::of(LatticePoint([BIAS as u64; 3])));
+    let nowhere = LatticeBox::of(LatticePoint([BIAS as u64; 3]));
+    let (bounds, answer) = (bounds.unwrap_or(nowhere), answer.unwrap_or(nowhere));
     let quantum = lattice.quantum_f64();
     let scale = scale.unwrap_or(quantum);
     let mut offset = [0.0; 3];
     for axis in 0..3 {
-        let (min, max) = (bounds.min.0[axis], bounds.max.0[axis]);
-        let width = (max - min) as f64 * quantum[axis];
-        offset[axis] = offset_for(snapshot, axis, min, max, scale[axis]).ok_or(ExportError::TooWide {
-            width,
-            axis,
-            scale: scale[axis],
-        })?;
+        let around = |b: &LatticeBox| offset_for(snapshot, axis, b.min.0[axis], b.max.0[axis], scale[axis]);
+        let width = (answer.max.0[axis] - answer.min.0[axis]) as f64 * quantum[axis];
+        let found = around(&bounds).or_else(|| around(&answer));
+        offset[axis] = found.ok_or(ExportError::TooWide { width, axis, scale: scale[axis] })?;
     }
     Ok(LasTarget::Merged { scale, offset })
 }

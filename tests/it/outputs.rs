@@ -13,6 +13,24 @@ fn what_las_cannot_hold_goes_out_in_other_forms() {
     let store = at("wide.esker");
     esker_ok(&["ingest", &store, &at("wide.xyz")]);
     esker_fails(&["query", &store, "-o", &at("wide.las")], 1, &["123456785.125 units wide", "coarser scale"]);
+    // What counts is how wide the answer is, in whatever way its region is said; where only a filter says it, nobody knows before.
+    let regions: [&[&str]; 3] = [
+        &["--box", "0,0,10,10"],
+        &["--sphere", "123456789,98765432,1,5"],
+        &["--polygon", "POLYGON((0 0, 9 0, 0 19, 0 0))"],
+    ];
+    for (region, expected) in
+        regions.into_iter().zip([[4.0, 5.0, 6.0], [123456789.125, 98765432.25, 1.5], [4.0, 5.0, 6.0]])
+    {
+        esker_ok(&[&["query", &store, "--force", "-o", &at("part.las")], region].concat());
+        let las = RawLas::read(Path::new(&at("part.las"))).unwrap();
+        let (head, [record]) = (&las.header, &las.records[..]) else { panic!("{} points", las.records.len()) };
+        let scale = [head.x_scale_factor, head.y_scale_factor, head.z_scale_factor];
+        let offset = [head.x_offset, head.y_offset, head.z_offset];
+        let integer = |i: usize| i32::from_le_bytes(record[4 * i..4 * i + 4].try_into().unwrap());
+        let world = [0, 1, 2].map(|i| f64::from(integer(i)) * scale[i] + offset[i]);
+        assert_eq!(world, expected, "{region:?}");
+    }
     // CSV, PLY and NumPy have no such limit, and were refused as LAS is.
     let mut text: Vec<_> =
         esker_ok(&["query", &store, "-o", "-", "--format", "csv"]).lines().map(str::to_owned).collect();
@@ -26,6 +44,11 @@ fn what_las_cannot_hold_goes_out_in_other_forms() {
     esker_ok(&["query", &store, "--scan", "wide", "--frame", "scan", "-o", &at("frame.csv")]);
     esker_fails(&["query", &store, "--scan", "wide", "--frame", "scan", "-o", &at("frame.laz")], 1, &["coarser scale"]);
     esker_ok(&["query", &store, "--scale", "1", "-o", &at("wide.laz")]);
+    esker_fails(
+        &["query", &store, "--scale", "1", "-o", &at("wide.copc.laz")],
+        1,
+        &["'copc.laz' is no ending that Esker writes"],
+    );
     esker_fails(&["query", &store, "--scale", "1", "-o", &at("scaled.csv")], 1, &["--scale is for LAS and LAZ"]);
     assert!(!fs::exists(at("scaled.csv")).unwrap());
 }
@@ -49,12 +72,21 @@ fn no_output_takes_the_place_of_a_store() {
     for command in commands {
         esker_fails(&[command, &to_store].concat(), 1, &["a.esker: is a database, such as a store"]);
     }
-    esker_fails(&[&["render", &store, "--size", "64x48"], &to_store[..]].concat(), 1, &["a.esker: is a database"]);
     // Whatever it is called.
-    fs::copy(&store, at("b.las")).unwrap();
+    for name in ["b.las", "b.png"] {
+        fs::copy(&store, at(name)).unwrap();
+    }
+    let render = ["render", &store, "--size", "64x48", "--force", "-o"];
+    esker_fails(&[&render[..], &[&at("b.png")]].concat(), 1, &["b.png: is a database"]);
+    // Nor is a picture written under the name of what it is not.
+    for name in ["b.jpg", "b", "a.esker"] {
+        esker_fails(&[&render[..], &[&at(name)]].concat(), 1, &[name, "give it a name that ends in .png"]);
+    }
     let torus = ["generate", "torus", "--points", "10", "-o", &at("b.las"), "--force"];
     esker_fails(&torus, 1, &["b.las: is a database"]);
-    assert_eq!([fs::read(&store).unwrap(), fs::read(at("b.las")).unwrap()], [bytes.clone(), bytes]);
+    for name in ["a.esker", "b.las", "b.png"] {
+        assert!(fs::read(at(name)).unwrap() == bytes, "{name}");
+    }
     // Anything else that is there is replaced.
     esker_ok(&["query", &store, "-o", &at("a.xyz"), "--format", "csv", "--force"]);
     assert!(fs::read_to_string(at("a.xyz")).unwrap().starts_with("X,Y,Z\n"));

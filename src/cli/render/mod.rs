@@ -21,6 +21,7 @@ use clap::Args;
 use session::{Asked, Session, Starting};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Draws a store as a PNG, from a given camera or from above the whole site; or a walk as many.
 ///
@@ -83,8 +84,14 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let ending = arguments.output.extension();
+    // Pictures of a walk get their ending with their numbers.
+    let bare = ending.is_none() && arguments.path.is_some();
+    if !bare && !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
+        bail!("{}: pictures are written as PNG; give it a name that ends in .png", arguments.output.display());
+    }
     // The adapter takes its time, and needs nothing of the store.
-    let starting = Starting::new();
+    let starting = Starting::new(Instant::now());
     let store = Store::open(&arguments.store)?;
     let outputs = |frames: usize| -> Vec<PathBuf> {
         match arguments.path {

@@ -32,15 +32,23 @@ pub(super) struct Asked {
 ///
 /// It is waited for when it is dropped: a process that ends while a driver starts may be ended by the driver's signal
 /// instead of with its exit code.
-pub(super) struct Starting(Option<JoinHandle<Result<Renderer, RenderError>>>);
+pub(super) struct Starting {
+    began: Instant,
+    thread: Option<JoinHandle<Made>>,
+}
+
+/// A renderer, and how long after the start of the command it was there.
+type Made = Result<(Renderer, Duration), RenderError>;
 
 impl Starting {
-    pub fn new() -> Self {
-        Self(Some(std::thread::spawn(Renderer::new)))
+    /// For a command that began then.
+    pub fn new(began: Instant) -> Self {
+        let thread = std::thread::spawn(move || Ok((Renderer::new()?, began.elapsed())));
+        Self { began, thread: Some(thread) }
     }
 
-    fn renderer(mut self) -> anyhow::Result<Renderer> {
-        let thread = self.0.take().context("the adapter is not there")?;
+    fn renderer(mut self) -> anyhow::Result<(Renderer, Duration)> {
+        let thread = self.thread.take().context("the adapter is not there")?;
         Ok(thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?)
     }
 }
@@ -48,7 +56,7 @@ impl Starting {
 impl Drop for Starting {
     fn drop(&mut self) {
         // What became of it does not matter any more.
-        let _ = self.0.take().map(JoinHandle::join);
+        let _ = self.thread.take().map(JoinHandle::join);
     }
 }
 
@@ -60,12 +68,15 @@ pub(super) struct Session {
     asked: Asked,
     /// How many points of a part match, as far as it is known.
     matching: HashMap<PartId, u32>,
+    began: Instant,
     starting: Option<Starting>,
     gpu: Option<Gpu>,
 }
 
 struct Gpu {
     renderer: Renderer,
+    /// From the start of the command until the adapter was there.
+    ready: Duration,
     canvas: Canvas,
     resident: Resident<GpuPool>,
 }
@@ -83,8 +94,8 @@ impl Session {
     /// `starting` finds the adapter meanwhile.
     pub fn new(parts: ViewParts, coloring: Coloring, asked: Asked, starting: Starting) -> Self {
         let lattice = parts.snapshot().site().lattice.clone();
-        let (matching, starting) = (HashMap::new(), Some(starting));
-        Self { parts, lattice, coloring, asked, matching, starting, gpu: None }
+        let (matching, began, starting) = (HashMap::new(), starting.began, Some(starting));
+        Self { parts, lattice, coloring, asked, matching, began, starting, gpu: None }
     }
 
     /// The adapter's name; empty before the first frame.
@@ -129,6 +140,7 @@ impl Session {
         statistics.points = list.points;
         statistics.nodes = list.nodes.len() as u64;
         statistics.error_px = wanted.error_bound_px;
+        (statistics.adapter, statistics.elapsed) = (gpu.ready, self.began.elapsed());
         Ok((image, statistics))
     }
 
@@ -223,7 +235,7 @@ impl Asked {
 impl Gpu {
     fn started(starting: Option<Starting>, wanted: &Wanted, capacity: u64) -> anyhow::Result<Self> {
         let starting = starting.context("the adapter is not there")?;
-        let renderer = starting.renderer()?;
+        let (renderer, ready) = starting.renderer()?;
         // What two frames of the capacity take, the last blocks of parts being half empty; the first picture alone takes
         // what it needs.
         let limit = (capacity.saturating_mul(5) / 2).div_ceil(u64::from(BLOCK_POINTS));
@@ -231,7 +243,7 @@ impl Gpu {
         let mut resident = Resident::new(renderer.pool(0, BLOCK_POINTS)?, u32::try_from(limit).unwrap_or(u32::MAX));
         resident.reserve(first as usize)?;
         let canvas = renderer.canvas(false);
-        Ok(Self { renderer, canvas, resident })
+        Ok(Self { renderer, ready, canvas, resident })
     }
 }
 

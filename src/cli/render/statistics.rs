@@ -1,14 +1,14 @@
 //! What a frame cost, as a line of CSV.
 
-use std::fmt::Write;
 use std::time::Duration;
 
 /// The head of the table.
 pub(super) const HEAD: &str = "frame,points,nodes,parts_loaded,points_loaded,bytes_read,bytes_uploaded,select_ms,load_ms,\
-                               read_core_ms,decode_core_ms,pack_core_ms,upload_ms,draw_ms,error_px";
+                               read_core_ms,decode_core_ms,pack_core_ms,upload_ms,draw_ms,error_px,adapter_ms,elapsed_ms";
 
 /// What a frame cost. Times of stages that run on all threads are summed over them (`core`); `load` is what passed from
-/// the first of them to the last.
+/// the first of them to the last. `adapter` and `elapsed` count from the start of the command: until the adapter was there,
+/// and until the picture was.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct FrameStatistics {
     pub points: u64,
@@ -25,6 +25,8 @@ pub(super) struct FrameStatistics {
     pub upload: Duration,
     pub draw: Duration,
     pub error_px: Option<f64>,
+    pub adapter: Duration,
+    pub elapsed: Duration,
 }
 
 impl FrameStatistics {
@@ -35,15 +37,10 @@ impl FrameStatistics {
         let times = [self.select, self.load, self.read, self.decode, self.pack, self.upload, self.draw];
         let mut line = frame.to_string();
         counts.into_iter().for_each(|count| line.push_str(&format!(",{count}")));
-        for time in times {
-            // Writing to a String can't fail.
-            let _ = write!(line, ",{:.3}", time.as_secs_f64() * 1e3);
-        }
-        let _ = match self.error_px {
-            Some(px) => writeln!(line, ",{px:.4}"),
-            None => writeln!(line, ","),
-        };
-        line
+        let ms = |time: Duration| format!(",{:.3}", time.as_secs_f64() * 1e3);
+        times.into_iter().for_each(|time| line.push_str(&ms(time)));
+        line.push_str(&self.error_px.map_or_else(|| ",".into(), |px| format!(",{px:.4}")));
+        line + &ms(self.adapter) + &ms(self.elapsed) + "\n"
     }
 }
 

@@ -1,5 +1,6 @@
 //! What node rows alone say of all points of a snapshot: where they are, and which attributes tell nothing.
 
+use super::strays::{Place, without_strays};
 use crate::lattice::{Cube, LatticeBox, LatticePoint};
 use crate::store::model::{Range, ScanId};
 use crate::store::{Node, Snapshot, StoreError};
@@ -7,6 +8,8 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 /// So many boxes are enough for the outline of a site.
 const MOST_BOXES: usize = 256;
+/// So small a share of the points may be left out of the outline, if it is far smaller without them.
+const STRAY_SHARE: f64 = 1e-3;
 
 /// A subtree, by the size of its box.
 struct Largest(u64, Node);
@@ -33,7 +36,8 @@ impl Ord for Largest {
 
 /// Boxes that together hold the points of the scans that `shows` says are seen, about 256 of them: much closer to the points
 /// than one box of a site that lies aslant. Points of coarse nodes are taken to lie among the finer ones around them, so a
-/// few may be outside by about the spacing there.
+/// few may be outside by about the spacing there. Strays are outside, too: less than a thousandth of the points, without
+/// which the site is less than half as large.
 ///
 /// # Errors
 ///
@@ -49,19 +53,23 @@ pub fn occupied_boxes(snapshot: &Snapshot, shows: impl Fn(ScanId) -> bool) -> Re
     let mut boxes = Vec::new();
     while let Some(Largest(_, node)) = heap.pop() {
         if node.children == 0 || boxes.len() + heap.len() >= MOST_BOXES {
-            boxes.extend(common(&node.subtree_bounds, &bounds));
+            let points = node.scans.iter().filter(|count| shows(count.scan)).map(|count| count.subtree).sum();
+            boxes.extend(common(&node.subtree_bounds, &bounds).map(|bounds| Place { bounds, node: node.ix(), points }));
             continue;
         }
         // What lies in octants without a child is the node's own.
         let alone =
             (0..8).filter(|octant| node.children >> octant & 1 == 0).filter_map(|octant| node.cube.child(octant));
         let own = |cube: Cube| common(&cube.to_box(), node.own_bounds.as_ref()?).and_then(|b| common(&b, &bounds));
-        boxes.extend(alone.filter_map(own));
+        let points = node.scans.iter().filter(|count| shows(count.scan)).map(|count| count.own).sum();
+        boxes.extend(alone.filter_map(own).map(|bounds| Place { bounds, node: node.ix(), points }));
         for child in nodes.children(&node)?.filter(seen) {
             heap.push(Largest(side(&child.subtree_bounds), child));
         }
     }
-    Ok(boxes)
+    let stored: u64 = snapshot.scans().iter().filter(|s| shows(s.id)).map(|s| s.stored).sum();
+    let kept = without_strays(boxes, (stored as f64 * STRAY_SHARE) as u64);
+    Ok(kept.into_iter().map(|place| place.bounds).collect())
 }
 
 /// Attributes that have one value everywhere, and that; by the zone maps of the roots.

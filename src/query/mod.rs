@@ -29,6 +29,7 @@ mod region;
 mod request;
 mod run;
 mod seen;
+mod strays;
 mod stream;
 mod summary;
 mod take;

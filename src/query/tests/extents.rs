@@ -28,6 +28,31 @@ fn boxes_around_the_points_are_closer_than_one_box() {
     assert!(occupied_boxes(&test.snapshot, |id| id == 1).unwrap().iter().all(|b| north.contains_box(b)));
 }
 
+/// One point a thousand times farther away than the site is wide made the site a dot in its picture.
+#[test]
+fn a_few_strays_are_not_part_of_the_outline() {
+    let params = Params { g: 2, leaf_capacity: 64 };
+    let (points, expected) = (20_000, 8 * 19_999);
+    let width = |strays: u64, away: i64| {
+        let mut places = aslant(points, 1);
+        let first = places[0].0.0;
+        places.extend((0..strays as i64).map(|i| {
+            let x = first[0].wrapping_add_signed(away + 5 * i);
+            (LatticePoint([x, first[1], first[2]]), 1)
+        }));
+        let test = store(&[numbered(places)], params, None);
+        let outline = occupied_boxes(&test.snapshot, |_| true).unwrap().into_iter().reduce(|a, b| a.union(&b)).unwrap();
+        outline.max.0[0] - outline.min.0[0]
+    };
+    for (far, near) in [(200_000_000, 220_000), (-200_000_000, -100_000)] {
+        let site = width(1, far);
+        assert!((expected * 9 / 10..=expected).contains(&site), "{site} of {expected}");
+        // What is a part of the site, though a small one, is seen, and so is a stray near by.
+        assert!(width(400, far) >= 200_000_000);
+        assert!(width(1, near) >= 220_000, "{}", width(1, near));
+    }
+}
+
 #[test]
 fn attributes_of_one_value_are_known() {
     let params = Params { g: 2, leaf_capacity: 8 };

@@ -11,15 +11,16 @@ use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Opens a window on a store: fly, walk, measure, colour, export.
 ///
-/// Opens at once and refines, within a budget of points. Shows new scans as an ingest commits them. F1 in the window
-/// lists all keys.
+/// Opens at once and refines, within a budget of points. Shows new scans as an ingest commits them. H in the window
+/// lists what mouse and keys do.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  esker view site.esker\n\n\
                   In the window: left drag turns, right drag moves, the wheel zooms, a double click goes there; W A S D \
-                  fly, G walks, F shows everything, F1 shows all keys.")]
+                  fly, G walks, F shows everything, H shows all keys.")]
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
@@ -32,6 +33,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let started = Instant::now();
     let store = Store::open(&arguments.store)?;
     let lattice = store.snapshot()?.site().lattice.clone();
     let script = match &arguments.script {
@@ -46,12 +48,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let exporter = Arc::new(|snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path| {
         export_box(snapshot, bounds, scans, path).map_err(|e| super::output::one_line(&e))
     });
-    crate::viewer::run(Options { store, lattice, name, exporter, remember, script })?;
+    crate::viewer::run(Options { started, store, lattice, name, exporter, remember, script })?;
     Ok(Outcome::Done)
 }
 
 /// The points of a box, of these scans, with all their attributes.
 fn export_box(snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path) -> anyhow::Result<u64> {
+    // What a command says of it names an option that a window has not.
+    if path.exists() {
+        anyhow::bail!("{}: exists already; give another name", path.display());
+    }
     let region = Region::new_box(bounds.min().to_array(), bounds.max().to_array())?;
     let query = Query::new().region(region).scans(scans.iter().cloned());
     let done = export(snapshot, &query, Target::File(path), &ExportOptions::default(), |_| {})?;

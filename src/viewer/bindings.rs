@@ -140,6 +140,43 @@ pub const HELP: &[Chapter] = &[
     ),
 ];
 
+/// What a newcomer needs first, in a line below the picture.
+pub fn hint(mode: Mode) -> &'static [Line] {
+    const ORBIT: &[Line] = &[
+        line("H", "all mouse and keys"),
+        line("Left drag", "turn"),
+        line("Right drag", "move"),
+        line("Wheel", "nearer"),
+        line("Double click", "go there"),
+        line("W A S D", "fly"),
+        line("G", "walk"),
+        line("F", "see everything"),
+    ];
+    const FLY: &[Line] = &[
+        line("H", "all mouse and keys"),
+        line("W A S D", "forward, left, back, right"),
+        line("Left drag", "look"),
+        line("Space / <", "up / down"),
+        line("Shift", "faster"),
+        line("Wheel", "speed"),
+        line("Esc", "back to orbit"),
+    ];
+    const WALK: &[Line] = &[
+        line("H", "all mouse and keys"),
+        line("W A S D", "forward, left, back, right"),
+        line("Left drag", "look"),
+        line("Shift", "faster"),
+        line("Wheel", "speed"),
+        line("G", "fly"),
+        line("Esc", "back to orbit"),
+    ];
+    match mode {
+        Mode::Orbit => ORBIT,
+        Mode::Fly => FLY,
+        Mode::Walk => WALK,
+    }
+}
+
 /// What a key does at once; none for keys that are held.
 pub fn command(key: Key) -> Option<Command> {
     Some(match key {
@@ -204,6 +241,12 @@ mod tests {
         ] {
             assert!(command(key).is_some(), "{key:?}");
             assert!(text.contains(word), "the help does not name {word}");
+        }
+        // And the line below the picture says how to get there, and how to get back.
+        for mode in [Mode::Orbit, Mode::Fly, Mode::Walk] {
+            let keys: Vec<&str> = hint(mode).iter().map(|l| l.keys).collect();
+            assert!(keys.contains(&"W A S D") && keys.contains(&"H"), "{keys:?}");
+            assert_eq!(keys.contains(&"Esc"), mode != Mode::Orbit, "{keys:?}");
         }
         let mut now = Held::default();
         for key in [Key::W, Key::A, Key::S, Key::D, Key::Space, Key::Less, Key::Control, Key::Shift, Key::Alt] {

@@ -31,7 +31,7 @@ pub struct Remembered {
     pub panels: bool,
     /// Which of them are open.
     pub open: Vec<String>,
-    /// Has the help been seen?
+    /// Has the help been seen? Until then a line says what comes first.
     pub knows_help: bool,
 }
 

@@ -113,8 +113,8 @@ fn a_script_uses_every_part_of_the_window() {
     let first = names.split("\"name\":\"").nth(1).unwrap().split('"').next().unwrap().to_owned();
     let display = Display::start();
     let script = format!(
-        "size 1100 760\nwait complete\nstate\nshot help.png\n\
-         key Esc\nwait complete\nshot start.png\n\
+        "size 1100 760\nwait complete\nstate\nshot start.png\n\
+         key H\nwait 50\nwait complete\nstate\nshot help.png\nkey Esc\nwait complete\n\
          # every panel\n\
          click @quality\nclick @places\nclick @measure\nclick @clip\nclick @point\nclick @statistics\nstate\nshot panels.png\n\
          click @quality\nclick @places\nclick @clip\nclick @point\nclick @statistics\nwait 50\n\
@@ -137,12 +137,15 @@ fn a_script_uses_every_part_of_the_window() {
          size 500 400\nwait complete\nstate\nlose device\nwait 300\nwait complete\nstate\nquit\n"
     );
     let states = display.view(folder.path(), &path("site.esker"), &script);
-    let [start, panels, off, turned, measured, kept, flown, walked, exported, small, renewed] = states.as_slice()
+    let [start, helped, panels, off, turned, measured, kept, flown, walked, exported, small, renewed] =
+        states.as_slice()
     else {
         panic!("{} states", states.len())
     };
     assert!(start["points"].as_u64().unwrap() > 50_000 && start["complete"] == true, "{start}");
-    assert_eq!((&start["size"][0], &start["size"][1], &start["help"]), (&1100.into(), &760.into(), &true.into()));
+    assert_eq!((&start["size"][0], &start["size"][1]), (&1100.into(), &760.into()));
+    // At first the site is seen, with a line that says how to move; whoever has seen the whole help needs it no more.
+    assert!(start["help"] == false && start["hint"] == true && helped["help"] == true && helped["hint"] == false);
     assert_eq!(panels["open"].as_array().unwrap().len(), 8, "{panels}");
     assert!(off["points"].as_u64() < start["points"].as_u64() && off["hidden_scans"] == 1, "{off}");
     assert!(turned["hover"].is_array() && turned["eye"] != start["eye"], "{turned}");
@@ -241,6 +244,95 @@ fn a_store_that_vanishes_or_is_replaced_is_told() {
         }
         assert!(moved["bookmarks"].as_array().is_none_or(Vec::is_empty), "{name}: {moved}");
     }
+}
+
+/// Two scans with the places of their scanners: walls of 40 x 40 points, five units before these.
+fn scanned_walls(path: &Path) {
+    let mut text = String::new();
+    for (x, across) in [(10.0, "1 0 0 0\n0 1 0 0"), (-10.0, "0 1 0 0\n-1 0 0 0")] {
+        text += &format!("40\n40\n{x} 20 2\n1 0 0\n0 1 0\n0 0 1\n{across}\n0 0 1 0\n{x} 20 2 1\n");
+        for i in 0..1600 {
+            let (column, row) = (i / 40, i % 40);
+            text += &format!(
+                "{} 5 {} 0.5 {} 120 90\n",
+                f64::from(column) / 10.0 - 2.0,
+                f64::from(row) / 10.0 - 2.0,
+                row * 6
+            );
+        }
+    }
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn looks_stations_and_bookmarks_do_what_they_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    scanned_walls(&path("walls.ptx"));
+    esker_ok(&["ingest", path("walls.esker").to_str().unwrap(), path("walls.ptx").to_str().unwrap()]);
+    let scans = esker_ok(&["scans", path("walls.esker").to_str().unwrap(), "--json"]);
+    let second = scans.split("\"name\": \"").nth(2).and_then(|s| s.split('"').next()).unwrap().to_owned();
+    let script = format!(
+        "size 900 800\nwait complete\nclick @hint.close\nclick @scans\nclick @color\nclick @quality\nwait 50\nstate\nshot plain.png\n\
+         click @outlines\nwait 50\nstate\nshot outlines.png\nclick @haze\nwait 50\nstate\nshot haze.png\n\
+         click @edl\nwait 50\nstate\nshot edl.png\nclick @boxes\nwait 50\nshot boxes.png\nclick @quality\n\
+         # where a scanner stood, by key and by name\n\
+         key L\nwait 800\nwait complete\nstate\nclick @places\nwait 50\nclick @station.{station}\nwait 800\nwait complete\nstate\n\
+         # a bookmark, from elsewhere back to it, and away with it\n\
+         click @bookmark.name\ntext here\nclick @bookmark.save\nwait 1500\nkey 1\nwait complete\nstate\n\
+         click @bookmark.here\nwait 800\nwait complete\nstate\nclick @bookmark.remove.here\nwait 1500\nstate\n\
+         # a box, twice to files\n\
+         key F\nwait complete\nclick @clip\nwait 50\nclick @clip.add\nwait 50\nclick @clip.export.1\nwait 700\n\
+         click @clip.export.1\nwait 700\nclick @clip.path.1\ntext clip.laz\nclick @clip.export.1\nwait 700\nstate\nquit\n",
+        station = second.replace(' ', "~")
+    );
+    let states = Display::start().view(folder.path(), &path("walls.esker"), &script);
+    let [plain, outlined, hazy, lit, first, stood, away, back, gone, exported] = states.as_slice() else {
+        panic!("{} states", states.len())
+    };
+    assert_eq!((&plain["outlines_px"], &plain["haze"], &plain["hint"]), (&0.0.into(), &0.0.into(), &false.into()));
+    assert!(outlined["outlines_px"].as_f64() > Some(1.0) && hazy["haze"].as_f64() > Some(0.2), "{hazy}");
+    assert!(lit["edl"].as_f64() > plain["edl"].as_f64(), "{lit}");
+    let shots = ["plain", "outlines", "haze", "edl", "boxes"].map(|name| pixels(&path(&format!("{name}.png"))).2);
+    for (pair, name) in shots.windows(2).zip(["outlines", "haze", "edl", "boxes"]) {
+        let differing = pair[0].chunks_exact(3).zip(pair[1].chunks_exact(3)).filter(|(a, b)| a != b).count();
+        assert!(differing > 900, "{name} changes {differing} pixels");
+    }
+    let eye = |state: &serde_json::Value| [0, 1, 2].map(|i| state["eye"][i].as_f64().unwrap());
+    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(near(eye(first), [10.0, 20.0, 2.0]) && near(eye(stood), [-10.0, 20.0, 2.0]), "{first} {stood}");
+    assert!(!near(eye(away), eye(stood)) && near(eye(back), eye(stood)), "{away} {back}");
+    assert_eq!([&away["bookmarks"], &gone["bookmarks"]], [&serde_json::json!(["here"]), &serde_json::json!([])]);
+    // The second time another name is found; a name that was typed is kept to.
+    assert!(path("clip.laz").exists() && path("clip-2.laz").exists() && !path("clip-3.laz").exists());
+    assert!(
+        exported["message"].as_str().unwrap_or_default().contains("exists already; give another name"),
+        "{exported}"
+    );
+}
+
+/// A surveyor looks while scans come in, from none on.
+#[test]
+fn scans_are_shown_as_they_are_ingested() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = small_store(folder.path(), "torus", "torus");
+    let text = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for kind in ["spheres", "terrain"] {
+        esker_ok(&["generate", kind, "--points", "30000", "-o", &text(&format!("{kind}.las"))]);
+    }
+    esker_ok(&["remove", store.to_str().unwrap(), "torus"]);
+    let script = "size 700 500\nwait 1000\nstate\nwait 2500\nwait complete\nstate\nwait 2500\nwait complete\nstate\nshot all.png\nquit\n";
+    let states = Display::start().view_and(folder.path(), &store, script, |lines| {
+        if let Some(kind) = ["spheres", "terrain"].get(lines - 1) {
+            esker_ok(&["ingest", store.to_str().unwrap(), &text(&format!("{kind}.las"))]);
+        }
+    });
+    let counts: Vec<_> = states.iter().map(|s| (s["points"].as_u64(), s["error"].is_null())).collect();
+    assert_eq!(counts, [(Some(0), true), (Some(30_000), true), (Some(60_000), true)], "{states:?}");
+    // The first ones are brought into the picture; those who look are not moved by what comes later.
+    assert!(
+        states[0]["eye"] != states[1]["eye"] && states[1]["generation"].as_u64() < states[2]["generation"].as_u64()
+    );
 }
 
 #[test]

@@ -73,6 +73,8 @@ pub struct FrameTimes {
     pub work: Duration,
     /// From frame to frame, smoothed.
     pub interval: Duration,
+    /// From the start until the adapter was there.
+    pub adapter: Option<Duration>,
     /// From the start to the first picture with points.
     pub first_picture: Option<Duration>,
     /// From the start to the first complete picture.
@@ -150,7 +152,7 @@ impl Model {
         nav.rig.set_fov_y_deg(set.fov_y_deg);
         Self {
             nav,
-            help: !set.knows_help,
+            help: false,
             set,
             site: None,
             scans: ScanChoice::default(),

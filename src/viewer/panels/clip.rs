@@ -41,7 +41,10 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
             if response.clicked() {
                 export = clip.bounds();
             }
-            ui.text_edit_singleline(&mut model.export_path).on_hover_text("A file ending in .laz or .las");
+            let field = egui::TextEdit::singleline(&mut model.export_path).hint_text("clip.laz");
+            let words = "A file that ends in .laz, .las, .ply or .csv; clip.laz if this is empty";
+            let response = ui.add(field).on_hover_text(words);
+            mark(model, format!("clip.path.{}", i + 1), &response);
         });
     }
     if let Some(gone) = gone {
@@ -50,7 +53,14 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
     model.clips = clips;
     if let Some(bounds) = export {
         let path = model.export_path.trim();
-        let path = if path.is_empty() { "clip.laz" } else { path };
-        model.actions.push(Action::Export(bounds, PathBuf::from(path)));
+        let path = if path.is_empty() { free_name() } else { PathBuf::from(path) };
+        model.actions.push(Action::Export(bounds, path));
     }
+}
+
+/// Where no name was typed: a second box does not stop at the first one's file.
+fn free_name() -> PathBuf {
+    let numbered = |i: u32| PathBuf::from(if i < 2 { "clip.laz".into() } else { format!("clip-{i}.laz") });
+    // If all are taken, the last one's writer says so.
+    (1..1000).map(numbered).find(|path| !path.exists()).unwrap_or_else(|| numbered(1000))
 }

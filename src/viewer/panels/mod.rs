@@ -21,9 +21,9 @@ pub fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
     model.widgets.clear();
     top(ui, model, aspect);
     bottom(ui, model);
+    help::first_steps(ui, model);
     if model.set.panels {
-        let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238));
-        egui::Panel::right("panels").frame(frame).default_size(290.0).size_range(220.0..=520.0).show(ui, |ui| {
+        egui::Panel::right("panels").frame(bar(ui)).default_size(290.0).size_range(220.0..=520.0).show(ui, |ui| {
             egui::ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
                 for section in Section::ALL {
                     show_section(ui, model, section, aspect);
@@ -38,8 +38,13 @@ pub fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
     model.set_free_area(ImageArea::new(part(free.min), part(free.max)), aspect);
     overlay::show(ui, model, aspect);
     if model.help {
-        help::show(ui.ctx(), model, aspect);
+        help::show(ui.ctx(), model, free, aspect);
     }
+}
+
+/// What lies behind the panels' widgets: the picture shines through a little.
+fn bar(ui: &Ui) -> egui::Frame {
+    egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238))
 }
 
 /// Remembers where a widget is, so that a script can click it.
@@ -75,8 +80,7 @@ fn show_section(ui: &mut Ui, model: &mut Model, section: Section, aspect: f64) {
 
 /// Buttons for what one does all the time.
 fn top(ui: &mut Ui, model: &mut Model, aspect: f64) {
-    let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238));
-    egui::Panel::top("top").frame(frame).show(ui, |ui| {
+    egui::Panel::top("top").frame(bar(ui)).show(ui, |ui| {
         ui.horizontal(|ui| {
             let mode = model.nav.rig.mode;
             for (which, text, hint) in [
@@ -136,8 +140,7 @@ fn top(ui: &mut Ui, model: &mut Model, aspect: f64) {
 
 /// One line of what is going on.
 fn bottom(ui: &mut Ui, model: &mut Model) {
-    let frame = egui::Frame::side_top_panel(ui.style()).fill(Color32::from_rgba_unmultiplied(24, 27, 33, 238));
-    egui::Panel::bottom("bottom").frame(frame).show(ui, |ui| {
+    egui::Panel::bottom("bottom").frame(bar(ui)).show(ui, |ui| {
         ui.horizontal(|ui| {
             let status = &model.status;
             ui.label(format!("{} points", grouped(status.points)));
@@ -203,6 +206,24 @@ mod tests {
         assert_eq!((grouped(12), bytes(999), bytes(12_345_678)), ("12".into(), "999 B".into(), "12.3 MB".into()));
     }
 
+    /// In a narrow window the line of first steps is one line: it grew over the picture.
+    #[test]
+    fn the_first_steps_are_one_line_however_narrow_the_window() {
+        for width in [1600.0, 900.0, 500.0, 300.0] {
+            let mut model = Model::new("x.esker".into(), Remembered::default());
+            let context = egui::Context::default();
+            for _ in 0..10 {
+                let input = egui::RawInput {
+                    screen_rect: Some(egui::Rect::from_min_size(egui::Pos2::ZERO, egui::vec2(width, 600.0))),
+                    ..egui::RawInput::default()
+                };
+                context.run_ui(input, |ui| show(ui, &mut model, 1.5)).textures_delta.clear();
+            }
+            let [x, y] = model.widgets["hint.close"];
+            assert!(x > 0.0 && x < 60.0 && y > 520.0, "{x} {y} in a window {width} wide");
+        }
+    }
+
     /// Every section is drawn, open and closed, without a store and without a window; a click opens one.
     #[test]
     fn the_panels_stand_without_a_store() {
@@ -236,7 +257,7 @@ mod tests {
         for _ in 0..30 {
             frame(&mut model, vec![]);
         }
-        for name in ["budget", "clip.add", "bookmark.save", "help", "measuring"] {
+        for name in ["budget", "clip.add", "bookmark.save", "help", "measuring", "hint.close"] {
             assert!(model.widgets.contains_key(name), "{name} is not there");
         }
     }

@@ -27,7 +27,9 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
                 model.nav.rig.fly_to(&camera);
             }
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-                if ui.small_button("remove").clicked() {
+                let response = ui.small_button("remove");
+                mark(model, format!("bookmark.remove.{name}"), &response);
+                if response.clicked() {
                     model.actions.push(Action::RemoveBookmark(name.clone()));
                 }
             });
@@ -38,7 +40,9 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
         ui.weak("Scanner positions");
         egui::ScrollArea::vertical().id_salt("stations").max_height(160.0).show(ui, |ui| {
             for (name, place) in stations {
-                if ui.button(&name).clicked() {
+                let response = ui.button(&name);
+                mark(model, format!("station.{name}"), &response);
+                if response.clicked() {
                     model.stand_at(&name, place);
                 }
             }

@@ -5,8 +5,11 @@ use super::mark;
 use crate::render::Shape;
 use egui::{Slider, Ui};
 
+/// How wide what is dragged is, in points.
+const SLIDER: f32 = 110.0;
+
 pub(super) fn show(ui: &mut Ui, model: &mut Model) {
-    ui.spacing_mut().slider_width = 110.0;
+    ui.spacing_mut().slider_width = SLIDER;
     let millions = |n: f64, _: std::ops::RangeInclusive<usize>| format!("{:.1} M", n / 1e6);
     let parse = |text: &str| text.trim_end_matches([' ', 'M']).parse::<f64>().ok().map(|n| n * 1e6);
     let set = &mut model.set;
@@ -15,11 +18,12 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
         .custom_formatter(millions)
         .custom_parser(parse)
         .text("points at most");
-    let response = ui.add(budget);
-    ui.add(Slider::new(&mut set.error_px, 0.5..=16.0).logarithmic(true).text("pixels apart"));
+    let mut sliders = vec![("budget", ui.add(budget))];
+    let mut slider = |ui: &mut Ui, name, slider: Slider<'_>| sliders.push((name, ui.add(slider)));
+    slider(ui, "error", Slider::new(&mut set.error_px, 0.5..=16.0).logarithmic(true).text("pixels apart"));
     ui.separator();
-    ui.add(Slider::new(&mut set.splat, 0.1..=2.0).text("size of points"));
-    ui.add(Slider::new(&mut set.least_px, 0.5..=5.0).text("least radius, pixels"));
+    slider(ui, "splat", Slider::new(&mut set.splat, 0.1..=2.0).text("size of points"));
+    slider(ui, "least", Slider::new(&mut set.least_px, 0.5..=5.0).text("least radius, pixels"));
     ui.horizontal(|ui| {
         for shape in Shape::ALL {
             let word = shape.word();
@@ -29,13 +33,18 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
         }
     });
     ui.separator();
-    ui.add(Slider::new(&mut set.edl, 0.0..=3.0).text("relief shading"));
-    ui.add(Slider::new(&mut set.shadow_px, 0.0..=4.0).text("outlines, pixels"));
-    ui.add(Slider::new(&mut set.haze, 0.0..=1.0).text("haze"));
+    slider(ui, "edl", Slider::new(&mut set.edl, 0.0..=3.0).text("relief shading"));
+    slider(ui, "outlines", Slider::new(&mut set.shadow_px, 0.0..=4.0).text("outlines, pixels"));
+    slider(ui, "haze", Slider::new(&mut set.haze, 0.0..=1.0).text("haze"));
     let mut fov = model.nav.rig.fov_y_deg();
     if ui.add(Slider::new(&mut fov, 10.0..=120.0).text("degrees of view")).changed() {
         model.nav.rig.set_fov_y_deg(fov);
     }
-    ui.checkbox(&mut model.node_boxes, "nodes of the octree as boxes");
-    mark(model, "budget", &response);
+    let response = ui.checkbox(&mut model.node_boxes, "nodes of the octree as boxes");
+    mark(model, "boxes", &response);
+    for (name, response) in sliders {
+        // The middle of what is dragged, not of the words beside it.
+        let rail = egui::Rect::from_min_size(response.rect.min, egui::vec2(SLIDER, response.rect.height()));
+        mark(model, name, &response.with_new_rect(rail));
+    }
 }

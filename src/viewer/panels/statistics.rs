@@ -26,8 +26,9 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
         ("last view complete in", ms(status.complete_time)),
         ("frame, this thread", ms(times.work)),
         ("frame to frame", ms(times.interval)),
-        ("first picture", later(times.first_picture)),
-        ("first complete", later(times.first_complete)),
+        ("start to the adapter", later(times.adapter)),
+        ("start to a picture", later(times.first_picture)),
+        ("start to the whole one", later(times.first_complete)),
         ("generation", status.generation.to_string()),
         ("adapter", model.adapter.clone()),
     ];

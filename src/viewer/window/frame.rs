@@ -65,9 +65,9 @@ impl Viewer {
 
         let times = &mut model.times;
         if points > 0 {
-            times.first_picture.get_or_insert_with(|| began - self.started);
+            times.first_picture.get_or_insert_with(|| self.started.elapsed());
             if complete {
-                times.first_complete.get_or_insert_with(|| began - self.started);
+                times.first_complete.get_or_insert_with(|| self.started.elapsed());
             }
         }
         let smooth = |old: Duration, new: Duration| (old * 7 + new) / 8;

@@ -37,6 +37,8 @@ const GROUND_EVERY: Duration = Duration::from_millis(150);
 
 /// What the viewer is started with.
 pub struct Options {
+    /// When the program began: times to the first pictures count from here.
+    pub started: Instant,
     /// What is looked at.
     pub store: Store,
     /// What its positions mean.
@@ -61,7 +63,7 @@ struct Wake;
 ///
 /// [`ViewerError`] if there is no display or no adapter, or a script waited in vain.
 pub fn run(options: Options) -> Result<(), ViewerError> {
-    let started = Instant::now();
+    let started = options.started;
     let window_error = |e: &dyn std::fmt::Display| ViewerError::Window(e.to_string());
     let events = EventLoop::<Wake>::with_user_event().build().map_err(|e| window_error(&e))?;
     let proxy = events.create_proxy();
@@ -293,6 +295,7 @@ impl Viewer {
         let side = gpu.max_side_px() as usize;
         let events = egui_winit::State::new(context, egui::ViewportId::ROOT, &window, None, None, Some(side));
         self.model.adapter = gpu.adapter_name().to_owned();
+        self.model.times.adapter.get_or_insert_with(|| self.started.elapsed());
         window.request_redraw();
         let (pick, front_number) = (None, 0);
         self.open = Some(Open {

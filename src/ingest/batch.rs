@@ -82,8 +82,8 @@ pub(super) fn add(
     let new_points = read.tallies.iter().map(|t| t.stored).sum();
     context.progress.stage(Stage::Build, new_points);
     let new = NewScans { plans: &plans, scans: &scans };
-    let edits = stages
-        .time(Stage::Build, new_points, || build(context, snapshot, writer, batch, &new, &room, buckets))?;
+    let edits =
+        stages.time(Stage::Build, new_points, || build(context, snapshot, writer, batch, &new, &room, buckets))?;
     context.go_on()?;
     report.chunks_written += edits.iter().map(|e| e.chunks).sum::<u64>();
 

@@ -1,9 +1,10 @@
 //! Files of poses: matrices or translations with quaternions, as text or JSON.
 
 use super::FormatError;
-use super::file::SourceFile;
 use crate::geometry::{Pose, PoseError};
 use serde_json::Value;
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 /// A pose file longer than this is none.
@@ -23,19 +24,28 @@ const EXPECTED: &str =
 ///
 /// [`FormatError::Malformed`] with the place of what is no pose, or is none of a rigid body.
 pub fn read_poses(path: &Path) -> Result<Vec<Pose>, FormatError> {
-    let file = SourceFile::open(path)?;
-    if file.bytes() > LONGEST {
-        return Err(file.malformed(0, EXPECTED, format!("{} bytes", file.bytes())));
+    let malformed = |offset, expected: &str, found: String| FormatError::Malformed {
+        path: path.to_owned(),
+        offset,
+        expected: expected.to_owned(),
+        found,
+    };
+    let io = |action, source| FormatError::Io { path: path.to_owned(), action, source };
+    // Read from its start to its end, so that a pipe will do.
+    let file = File::open(path).map_err(|e| io("opening", e))?;
+    let mut raw = Vec::new();
+    file.take(LONGEST + 1).read_to_end(&mut raw).map_err(|e| io("reading", e))?;
+    if raw.len() as u64 > LONGEST {
+        return Err(malformed(LONGEST, EXPECTED, "more text".to_owned()));
     }
-    let raw = file.read_vec(0, LONGEST)?;
     let Ok(text) = std::str::from_utf8(&raw) else {
-        return Err(file.malformed(0, EXPECTED, "no text"));
+        return Err(malformed(0, EXPECTED, "no text".to_owned()));
     };
     let poses = if text.trim_start().starts_with(['[', '{']) {
-        let value = serde_json::from_str(text).map_err(|e| file.malformed(0, "JSON", e.to_string()))?;
-        from_json(&value).map_err(|found| file.malformed(0, EXPECTED, found))?
+        let value = serde_json::from_str(text).map_err(|e| malformed(0, "JSON", e.to_string()))?;
+        from_json(&value).map_err(|found| malformed(0, EXPECTED, found))?
     } else {
-        from_text(text).map_err(|(offset, found)| file.malformed(offset as u64, EXPECTED, found))?
+        from_text(text).map_err(|(offset, found)| malformed(offset as u64, EXPECTED, found))?
     };
     Ok(poses)
 }
@@ -155,6 +165,19 @@ mod tests {
         }
         assert_eq!(read("1 2 3 1 0 0 0\n4 5 6 1 0 0 0").unwrap().len(), 2);
         assert_eq!(read("[[1,2,3,1,0,0,0],[4,5,6,1,0,0,0]]").unwrap()[1].scanner(), [4.0, 5.0, 6.0]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn poses_come_through_a_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let poses = std::thread::scope(|scope| {
+            scope.spawn(|| std::fs::write(&path, "1 2 3 1 0 0 0\n").unwrap());
+            read_poses(&path).unwrap()
+        });
+        assert_eq!(poses[0].scanner(), [1.0, 2.0, 3.0]);
     }
 
     #[test]

@@ -26,8 +26,10 @@ ALL_RULES = {
 
 def rows(columns):
     """The bytes of each point, in an order of their own: equal lists are equal multisets of points, bit for bit."""
+    if len(columns[0]) == 0:
+        return []
     octets = [np.ascontiguousarray(c).view(np.uint8).reshape(len(c), -1) for c in columns]
-    return sorted(row.tobytes() for row in np.concatenate(octets, axis=1)) if len(columns[0]) else []
+    return sorted(row.tobytes() for row in np.concatenate(octets, axis=1))
 
 
 def check_store(path):

@@ -10,7 +10,8 @@
 //!   what was of use least lately goes first (`residency.rs`). A part is uploaded once while it stays.
 //! - **Swaps.** A new list is handed out as soon as everything wanted is there, and every
 //!   [`SWAP_INTERVAL`] while something is loading. When what is shown changes (other scans, another paint, a new
-//!   generation) the old list stays until the new one is complete, or for [`SETTLE_TIME`] at most.
+//!   generation) the old list stays until the new one is complete, or for [`SETTLE_TIME`] at most; an empty
+//!   one is replaced at once, by a coarse one that then stays in the same way.
 //! - **Superseding.** Only the newest camera counts: one selection runs at a time, and the queue of loads is made anew by
 //!   each. What was being decoded for an older one and is not wanted any more is dropped before it is uploaded.
 //! - **Threads.** One task, on tokio, decides everything (`driver.rs`); selecting and decoding run on rayon's threads

@@ -345,6 +345,35 @@ fn frames_go_on_while_the_disk_is_stuck() {
     });
 }
 
+/// The first picture waited until it was complete, for half a second at most, as if there were an older one to keep.
+#[test]
+fn a_first_picture_is_coarse_and_early() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = site(folder.path(), "400000");
+    run(async || {
+        let mut walk = Walk::begin(&store, limits(300_000));
+        walk.disk.load_ms.store(60, Ordering::Release);
+        // As a window does, which knows colours a little later than where the points are.
+        walk.frame().await;
+        walk.set_shown(shown(2));
+        walk.stream.set_camera(&walk.camera([0.5, 0.1, 3.0], 1.5));
+        let started = tokio::time::Instant::now();
+        while walk.stream.front().list.points == 0 {
+            walk.frame().await;
+        }
+        let (first, coarse) = (started.elapsed(), walk.stream.front().list.clone());
+        walk.rest().await;
+        let (whole, complete) = (started.elapsed(), walk.stream.front().list.points);
+        println!("{} points after {first:?}, {complete} after {whole:?}", coarse.points);
+        assert!(
+            first < Duration::from_millis(60 + 33 + 40) && !coarse.complete,
+            "after {first:?}: {}",
+            coarse.complete
+        );
+        assert!(coarse.points * 2 < complete && whole > 2 * first, "{} of {complete} after {whole:?}", coarse.points);
+    });
+}
+
 /// A camera that came and went leaves nothing: loads that were not begun are not, and what was being loaded is not uploaded.
 #[test]
 fn what_only_an_older_camera_wanted_is_neither_loaded_nor_uploaded() {

@@ -285,7 +285,9 @@ impl Driver {
                 (self.want, self.dirty) = (None, false);
                 self.ahead.clear();
                 self.waiting.clear();
-                self.settling = Some(Instant::now());
+                // Of an empty picture there is nothing to keep: the first points are seen as soon as they come.
+                let something = lock(&self.shared.front).list.points > 0;
+                self.settling = something.then(Instant::now);
                 self.unanswered.get_or_insert_with(Instant::now);
                 lock(&self.shared.status).error_message = None;
             }

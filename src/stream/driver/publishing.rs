@@ -28,7 +28,10 @@ impl Driver {
         let (nodes, points, since) = (list.nodes.len() as u64, list.points, want.since);
         let unknown = !want.exact && complete && self.learned;
         self.dirty = false;
-        self.settling = None;
+        // After the first coarse picture what was shown before is that: drawing every step to the whole one takes the time
+        // of loading it, where processors draw.
+        let first = lock(&self.shared.front).list.points == 0;
+        self.settling = (first && !complete && points > 0).then_some(now);
         self.published = now;
         let list = Arc::new(list);
         let content = content.clone();

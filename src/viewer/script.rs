@@ -21,6 +21,8 @@ pub enum At {
 pub enum Step {
     /// Until everything is there that was asked for.
     WaitComplete,
+    /// Until so many points are drawn.
+    WaitPoints(u32),
     /// So long.
     Wait(Duration),
     /// The pointer goes there.
@@ -76,6 +78,7 @@ fn parse_line(line: &str) -> Option<Vec<Step>> {
     let left = |down| Step::Button(Button::Left, down);
     Some(match (word, words.first().copied()) {
         ("wait", Some("complete")) => vec![Step::WaitComplete],
+        ("wait", Some("points")) => vec![Step::WaitPoints(whole(1)?)],
         ("wait", Some(_)) => vec![Step::Wait(Duration::from_millis(whole(0)?.into()))],
         ("point", _) => vec![Step::Point(at(0)?)],
         ("click", _) => vec![Step::Point(at(0)?), left(true), left(false)],
@@ -149,12 +152,14 @@ mod tests {
 
     #[test]
     fn scripts_are_read_and_refused_by_line() {
-        let steps =
-            parse("# a walk\nwait complete\nkey F # fit\nclick @scan.north~2\ndrag right 1 2 3 4\nquit\n").unwrap();
-        assert_eq!(steps.len(), 1 + 2 + 3 + 5 + 1);
+        let steps = parse(
+            "# a walk\nwait complete\nkey F # fit\nclick @scan.north~2\ndrag right 1 2 3 4\nwait points 7\nquit\n",
+        )
+        .unwrap();
+        assert_eq!((steps.len(), &steps[11]), (1 + 2 + 3 + 5 + 1 + 1, &Step::WaitPoints(7)));
         assert_eq!(steps[3], Step::Point(At::Widget("scan.north 2".into())));
         assert_eq!(steps[1], Step::Key(Key::F, true));
-        for bad in ["jump", "key Hyper", "drag left 1 2 3", "size 1", "wait", "point nan 3"] {
+        for bad in ["jump", "key Hyper", "drag left 1 2 3", "size 1", "wait", "wait points", "point nan 3"] {
             let refused = parse(&format!("wait 10\n{bad}")).unwrap_err();
             assert!(refused.starts_with("line 2:"), "{refused}");
         }

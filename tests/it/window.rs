@@ -273,17 +273,17 @@ fn looks_stations_and_bookmarks_do_what_they_say() {
     let scans = esker_ok(&["scans", path("walls.esker").to_str().unwrap(), "--json"]);
     let second = scans.split("\"name\": \"").nth(2).and_then(|s| s.split('"').next()).unwrap().to_owned();
     let script = format!(
-        "size 900 800\nwait complete\nclick @hint.close\nclick @scans\nclick @color\nclick @quality\nwait 50\nstate\nshot plain.png\n\
+        "size 720 760\nwait complete\nclick @hint.close\nclick @scans\nclick @color\nclick @quality\nwait 50\nstate\nshot plain.png\n\
          click @outlines\nwait 50\nstate\nshot outlines.png\nclick @haze\nwait 50\nstate\nshot haze.png\n\
          click @edl\nwait 50\nstate\nshot edl.png\nclick @boxes\nwait 50\nshot boxes.png\nclick @quality\n\
          # where a scanner stood, by key and by name\n\
-         key L\nwait 800\nwait complete\nstate\nclick @places\nwait 50\nclick @station.{station}\nwait 800\nwait complete\nstate\n\
+         key L\nwait 50\nwait complete\nstate\nclick @places\nwait 50\nclick @station.{station}\nwait 50\nwait complete\nstate\n\
          # a bookmark, from elsewhere back to it, and away with it\n\
-         click @bookmark.name\ntext here\nclick @bookmark.save\nwait 1500\nkey 1\nwait complete\nstate\n\
-         click @bookmark.here\nwait 800\nwait complete\nstate\nclick @bookmark.remove.here\nwait 1500\nstate\n\
+         click @bookmark.name\ntext here\nclick @bookmark.save\nwait 1000\nkey 1\nwait complete\nstate\n\
+         click @bookmark.here\nwait 50\nwait complete\nstate\nclick @bookmark.remove.here\nwait 1000\nstate\n\
          # a box, twice to files\n\
-         key F\nwait complete\nclick @clip\nwait 50\nclick @clip.add\nwait 50\nclick @clip.export.1\nwait 700\n\
-         click @clip.export.1\nwait 700\nclick @clip.path.1\ntext clip.laz\nclick @clip.export.1\nwait 700\nstate\nquit\n",
+         key F\nwait complete\nclick @clip\nwait 50\nclick @clip.add\nwait 50\nclick @clip.export.1\nwait 400\n\
+         click @clip.export.1\nwait 400\nclick @clip.path.1\ntext clip.laz\nclick @clip.export.1\nwait 400\nstate\nquit\n",
         station = second.replace(' ', "~")
     );
     let states = Display::start().view(folder.path(), &path("walls.esker"), &script);
@@ -321,14 +321,16 @@ fn scans_are_shown_as_they_are_ingested() {
         esker_ok(&["generate", kind, "--points", "30000", "-o", &text(&format!("{kind}.las"))]);
     }
     esker_ok(&["remove", store.to_str().unwrap(), "torus"]);
-    let script = "size 700 500\nwait 1000\nstate\nwait 2500\nwait complete\nstate\nwait 2500\nwait complete\nstate\nshot all.png\nquit\n";
+    let script = "size 700 500\nwait 1000\nstate\nwait points 1\nwait complete\nstate\nwait points 40000\nwait complete\nstate\nquit\n";
     let states = Display::start().view_and(folder.path(), &store, script, |lines| {
         if let Some(kind) = ["spheres", "terrain"].get(lines - 1) {
             esker_ok(&["ingest", store.to_str().unwrap(), &text(&format!("{kind}.las"))]);
         }
     });
-    let counts: Vec<_> = states.iter().map(|s| (s["points"].as_u64(), s["error"].is_null())).collect();
-    assert_eq!(counts, [(Some(0), true), (Some(30_000), true), (Some(60_000), true)], "{states:?}");
+    let counts: Vec<u64> = states.iter().map(|s| s["points"].as_u64().unwrap()).collect();
+    // Two scans of 30,000, less what would be finer than a pixel.
+    assert!(counts[0] == 0 && counts[1] > 20_000 && counts[1] <= 30_000 && counts[2] > 40_000, "{counts:?}");
+    assert!(states.iter().all(|s| s["error"].is_null()), "{states:?}");
     // The first ones are brought into the picture; those who look are not moved by what comes later.
     assert!(
         states[0]["eye"] != states[1]["eye"] && states[1]["generation"].as_u64() < states[2]["generation"].as_u64()

@@ -42,6 +42,7 @@ impl Viewer {
                 let picks = self.open.as_ref().is_some_and(|o| o.pick.is_none() && !o.pick_due);
                 return Ok(site && picks && self.model.status.complete && !self.model.nav.is_moving());
             }
+            Step::WaitPoints(points) => return Ok(self.model.status.points >= u64::from(*points)),
             Step::Wait(time) => return Ok(self.step_since.elapsed() >= *time),
             Step::Point(at) => {
                 let place = match at {

@@ -16,6 +16,8 @@ CREATE TABLE site (
     nodes         INTEGER NOT NULL,
     scans         INTEGER NOT NULL,
     attributes    INTEGER NOT NULL,
+    log           INTEGER NOT NULL,
+    log_before    INTEGER NOT NULL,
     checksum      INTEGER NOT NULL
 ) STRICT;
 

@@ -104,9 +104,10 @@ class Store:
         if pathlib.Path(f"{path}-wal").exists():
             # Section "Logs and journals of other stores".
             without = sqlite3.connect(uri + "?mode=ro&immutable=1", uri=True)
-            ids = [database.execute("SELECT store_id FROM site").fetchone() for database in (self.database, without)]
+            marks = "SELECT store_id, log, log_before FROM site"
+            here, file = (database.execute(marks).fetchone() for database in (self.database, without))
             without.close()
-            check(ids[0] == ids[1], "the log of another store")
+            check(here[0] == file[0] and file[1] in here[1:], "the log of another store")
         check(self.database.execute("PRAGMA application_id").fetchone() == (0x45736B72,), "application id")
         check(self.database.execute("PRAGMA user_version").fetchone() == (1,), "version")
         self.database.execute("BEGIN")

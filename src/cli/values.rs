@@ -79,6 +79,7 @@ pub(super) fn count(text: &str) -> Result<u64, String> {
 }
 
 /// `WxH` in pixels.
+#[cfg(feature = "render")]
 pub(super) fn pixels(text: &str) -> Result<[u32; 2], String> {
     let parsed = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
     match parsed {

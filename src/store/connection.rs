@@ -2,7 +2,7 @@
 
 use super::error::{RowError, StoreError};
 use super::files::{has_journal, uri, wal_bytes};
-use super::rows::load_site;
+use super::rows::{SiteRow, load_site};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 use std::path::Path;
@@ -23,7 +23,10 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(5);
 /// How often it is tried to leave the log: readers of this process may just be closing.
 const TRIES_ALONE: usize = 5;
 
-/// How long between.
+/// How often a log that seems to be another file's is looked at, while what is there changes.
+const LOOKS: usize = 20;
+
+/// How long between tries and looks.
 const TRY_AGAIN: Duration = Duration::from_millis(10);
 
 /// How long a first filling waits for a reader. Readers stay for moments; more than that, and hours of work would be lost.
@@ -181,20 +184,37 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Purpose, Connection), Sto
     }
 }
 
-/// A log that a deleted store left must not be taken for this one's: SQLite would apply it without a word.
+/// A log that is not of this file, in this state, must not be taken for its own: SQLite would apply it without a word.
 ///
-/// Reads the identity once without the log and once with it, and applies nothing.
+/// Reads the site's row once without the log and once with it, and applies nothing.
 fn check_wal(path: &Path) -> Result<(), StoreError> {
-    let id = |purpose| {
+    let site = |purpose| {
         let connection = open_raw(path, purpose)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-        load_site(&connection).map(|row| row.store_id)
+        load_site(&connection)
     };
-    // While a checkpoint is running the first view may be torn: then there is a live writer, and the log is its own.
-    match (id(Purpose::Immutable), id(Purpose::Read)) {
-        (Ok(without), Ok(with)) if without != with => Err(StoreError::ForeignWal { path: path.to_path_buf() }),
-        _ => Ok(()),
+    let mut before = None;
+    for _ in 0..LOOKS {
+        let with = match site(Purpose::Read) {
+            Ok(row) => Some(row),
+            Err(e) if e.is_damage() => None,
+            Err(_) => return Ok(()),
+        };
+        // While a checkpoint is running this view may be torn: then there is a live writer, and the log is its own.
+        let Ok(without) = site(Purpose::Immutable) else { return Ok(()) };
+        let is_own = |with: &SiteRow| with.store_id == without.store_id && with.log.can_follow(without.log);
+        if with.as_ref().is_some_and(is_own) {
+            return Ok(());
+        }
+        // Between the looks a live writer may have begun one log after the other, but not the same ones again.
+        let found = Some((with, without));
+        if found == before {
+            return Err(StoreError::ForeignWal { path: path.to_path_buf() });
+        }
+        before = found;
+        std::thread::sleep(TRY_AGAIN);
     }
+    Ok(())
 }
 
 /// A journal that a deleted store left must not be taken for this one's: SQLite would undo what it says. There is one only

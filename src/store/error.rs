@@ -62,9 +62,10 @@ pub enum StoreError {
         /// What is wrong with it.
         what: String,
     },
-    /// There is a write-ahead log beside the store that belongs to another one.
+    /// There is a write-ahead log beside the store that belongs to another one, or to another state of it.
     #[error(
-        "{path}: the file {path}-wal beside it belongs to another store; move it away (it is of no use to this one)"
+        "{path}: the file {path}-wal beside it is the log of another store, or of this one in another state (was one of them \
+         put there from a copy?); if the store is the one that you want, move the log away"
     )]
     ForeignWal {
         /// The store.
@@ -164,6 +165,28 @@ impl RowError {
     /// A damaged row.
     pub fn damage(table: &'static str, key: impl Into<String>, what: impl Into<String>) -> Self {
         Self::Damage { table, key: key.into(), what: what.into() }
+    }
+
+    /// Is it about what the file holds, not about how it is reached?
+    pub fn is_damage(&self) -> bool {
+        match self {
+            Self::Damage { .. } => true,
+            Self::Sqlite(e) => !matches!(
+                e.sqlite_error_code(),
+                Some(
+                    ErrorCode::CannotOpen
+                        | ErrorCode::DatabaseBusy
+                        | ErrorCode::DatabaseLocked
+                        | ErrorCode::DiskFull
+                        | ErrorCode::OperationInterrupted
+                        | ErrorCode::OutOfMemory
+                        | ErrorCode::PermissionDenied
+                        | ErrorCode::ReadOnly
+                        | ErrorCode::SystemIoFailure
+                )
+            ),
+            Self::Inconsistent(_) => false,
+        }
     }
 
     /// With the path of the store.

@@ -5,6 +5,7 @@ use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
 use super::files::{beside, journal, wal};
 use super::lock::WriterLock;
+use super::log::LogMark;
 use super::model::Site;
 use super::place::{Limits, Place, lock};
 use super::rows::{SiteRow, load_generation, put_site};
@@ -215,5 +216,6 @@ fn first_row(options: SiteOptions) -> SiteRow {
         nodes: 0,
         scans: 0,
         attributes: 0,
+        log: LogMark::random(),
     }
 }

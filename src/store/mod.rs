@@ -20,6 +20,7 @@ mod interrupt;
 mod lanes;
 mod leaders;
 mod lock;
+mod log;
 pub mod model;
 mod nodes;
 #[cfg(test)]
@@ -28,6 +29,7 @@ mod place;
 mod rows;
 mod shape;
 mod snapshot;
+mod space;
 mod summary;
 #[cfg(test)]
 mod testing;

@@ -10,35 +10,23 @@ use super::files::{remove_spills, wal_bytes};
 use super::flip::{Flip, flip};
 use super::interrupt::unless;
 use super::lock::WriterLock;
+use super::log::{self, Checkpoint};
 use super::model::{FIRST_ATTRIBUTE, SLOT_PACKED, SLOT_STRIDE, ScanId, Site, Slot, StoredAttribute};
 use super::place::{Place, lock};
 use super::rows::{self, ChunkRow, SiteRow};
 use super::snapshot::facts;
+use super::space;
 use crate::points::Attribute;
 use rusqlite::Connection;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::time::Duration;
 
 /// Bytes of chunks in one transaction.
 const TRANSACTION_BYTES: u64 = 16 << 20;
 
 /// A log beyond this is checkpointed as soon as readers allow.
 const WAL_BYTES: u64 = 128 << 20;
-
-/// How long the writer waits for readers to let go of the log; they renew their transactions several times in this
-/// time, unless a flip has overtaken them.
-const WAIT_FOR_READERS: Duration = Duration::from_millis(600);
-
-/// Rows that are removed in one transaction.
-const REMOVED_AT_ONCE: usize = 4096;
-
-/// One free page for so many is kept in the file.
-const MOST_FREE: i64 = 16;
-
-/// Pages that one step of the incremental vacuum frees.
-const VACUUM_PAGES: u32 = 4096;
 
 /// Gives out ids of chunk rows; cheap to clone, may be used from any thread.
 #[derive(Clone, Debug, Default)]
@@ -94,6 +82,8 @@ pub struct Writer {
     failed: bool,
     /// Rows go straight into the file, under a rollback journal.
     without_log: bool,
+    /// The next transaction may be the first of a log.
+    begins_log: bool,
     /// The size at which the log is looked at next.
     wal_limit: u64,
     leftovers: Leftovers,
@@ -137,9 +127,12 @@ impl Writer {
             pending_bytes: None,
             failed: false,
             without_log: false,
+            begins_log: false,
             wal_limit: WAL_BYTES,
             leftovers: Leftovers::default(),
         };
+        // What a crash left in the log goes on; else a new one is begun.
+        writer.checkpoint("PASSIVE");
         writer.leftovers = writer.remove_leftovers()?;
         Ok(writer)
     }
@@ -153,7 +146,7 @@ impl Writer {
             })?,
             Place::Memory(_) => 0,
         };
-        let chunk_rows = self.run(|c| remove_unreferenced(c, self.site.next_chunk))? + self.remove_garbage()?;
+        let chunk_rows = self.remove_unreferenced()? + self.remove_garbage()?;
         if chunk_rows > 0 {
             self.tidy();
         }
@@ -253,6 +246,9 @@ impl Writer {
         };
         let mut chunks = chunks.into_iter().peekable();
         while chunks.peek().is_some() {
+            if pending.is_none() {
+                self.begin_log()?;
+            }
             let bytes = self.run(|c| {
                 let mut bytes = match pending {
                     Some(bytes) => bytes,
@@ -301,7 +297,9 @@ impl Writer {
             // A journal is only beside a store without a commit: so one that a deleted store left is known for what it is.
             self.run(connection::enter_log)?;
             self.without_log = false;
+            self.begins_log = true;
         }
+        self.begin_log()?;
         let base = SiteRow { next_chunk: self.ids.next(), next_scan: self.next_scan, ..self.site.clone() };
         let site = self.run(|c| {
             c.execute_batch("PRAGMA synchronous = FULL; BEGIN IMMEDIATE")?;
@@ -327,6 +325,7 @@ impl Writer {
     ///
     /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`].
     pub fn put_bookmark(&mut self, name: &str, camera_json: &str) -> Result<(), StoreError> {
+        self.begin_log()?;
         self.run(|c| rows::put_bookmark(c, name, camera_json))
     }
 
@@ -336,6 +335,7 @@ impl Writer {
     ///
     /// As [`Writer::put_bookmark`].
     pub fn remove_bookmark(&mut self, name: &str) -> Result<(), StoreError> {
+        self.begin_log()?;
         self.run(|c| rows::remove_bookmark(c, name))
     }
 
@@ -346,6 +346,7 @@ impl Writer {
     /// [`StoreError::Full`], [`StoreError::Sqlite`]; the store is then as it was.
     pub fn compact(&mut self, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
         self.remove_garbage()?;
+        self.begin_log()?;
         let folder = match &*self.place {
             Place::File(file) => file.path.parent().filter(|p| !p.as_os_str().is_empty()).map(Path::to_owned),
             Place::Memory(_) => None,
@@ -407,58 +408,87 @@ impl Writer {
     }
 
     /// Removes the rows that `garbage` names, and says how many; in memory only when no older snapshot is left.
-    fn remove_garbage(&self) -> Result<u64, StoreError> {
+    fn remove_garbage(&mut self) -> Result<u64, StoreError> {
         if let Place::Memory(memory) = &*self.place
             && lock(&memory.snapshots).range(..self.site.site.generation).next().is_some()
         {
             return Ok(0);
         }
+        if !self.run(space::has_garbage)? {
+            return Ok(0);
+        }
+        self.begin_log()?;
         let mut removed = 0;
-        while let Some(rows) = self.run(remove_some_garbage)? {
+        while let Some(rows) = self.run(space::remove_some_garbage)? {
             removed += rows;
         }
         Ok(removed)
     }
 
+    /// Removes the rows that were never referred to, and says how many.
+    fn remove_unreferenced(&mut self) -> Result<u64, StoreError> {
+        let first = self.site.next_chunk;
+        if !self.run(|c| space::has_unreferenced(c, first))? {
+            return Ok(0);
+        }
+        self.begin_log()?;
+        self.run(|c| space::remove_unreferenced(c, first))
+    }
+
     /// Gives many free pages back to the disk and empties the log; says whether the log is empty.
     fn tidy(&mut self) -> bool {
-        if self.connection.is_none() {
-            return true;
+        let Place::File(file) = &*self.place else { return true };
+        let path = file.path.clone();
+        if self.run(space::has_room).unwrap_or(false) && self.begin_log().is_ok() {
+            let _ = self.run(space::vacuum);
         }
-        let _ = self.run(vacuum);
-        let (_, truncated) = self.checkpoint("TRUNCATE");
+        self.checkpoint("TRUNCATE");
         self.wal_limit = WAL_BYTES;
-        truncated
+        wal_bytes(&path) == 0
+    }
+
+    /// Marks a log that is begun as this file's, in a transaction before any other.
+    fn begin_log(&mut self) -> Result<(), StoreError> {
+        if !self.begins_log || self.without_log {
+            return Ok(());
+        }
+        let marked = SiteRow { log: self.site.log.next(), ..self.site.clone() };
+        self.run(|c| {
+            // Of what follows nothing can be there without it.
+            c.execute_batch("PRAGMA synchronous = NORMAL")?;
+            rows::put_site(c, &marked)
+        })?;
+        (self.site, self.begins_log) = (marked, false);
+        Ok(())
     }
 
     /// Has the log written back and used from its start again, when it has grown.
     fn bound_log(&mut self) {
         let Place::File(file) = &*self.place else { return };
+        let path = file.path.clone();
         if self.without_log {
             return;
         }
         // Waits for nobody. Done while nodes are still being encoded, it leaves little for the commit, and the next
         // transaction begins the log anew if no reader holds it.
         self.checkpoint("PASSIVE");
-        if wal_bytes(&file.path) < self.wal_limit {
+        if wal_bytes(&path) < self.wal_limit {
             return;
         }
-        let (restarted, _) = self.checkpoint("RESTART");
+        let restarted = self.checkpoint("RESTART");
         // A reader that holds an older generation can't be hurried: try again when there is as much once more.
         self.wal_limit = if restarted { WAL_BYTES } else { self.wal_limit.saturating_add(WAL_BYTES) };
     }
 
-    /// Did it run to its end, and is the log empty?
-    fn checkpoint(&self, mode: &str) -> (bool, bool) {
-        let busy = self.run(|c| {
-            c.busy_timeout(WAIT_FOR_READERS)?;
-            let result = c.query_row(&format!("PRAGMA wal_checkpoint({mode})"), [], |row| row.get::<_, i64>(0));
-            c.busy_timeout(connection::PATIENCE)?;
-            Ok(result?)
-        });
-        let done = matches!(busy, Ok(0));
-        let Place::File(file) = &*self.place else { return (done, true) };
-        (done, wal_bytes(&file.path) == 0)
+    /// Did it run to its end?
+    fn checkpoint(&mut self, mode: &str) -> bool {
+        if self.connection.is_none() {
+            return true;
+        }
+        let Checkpoint { done, complete } = self.run(|c| log::checkpoint(c, mode)).unwrap_or_default();
+        // What is begun now may have this file's state before it.
+        self.begins_log |= complete;
+        done
     }
 }
 
@@ -467,7 +497,7 @@ impl Drop for Writer {
         self.roll_back();
         // Best effort: what stays is removed by the next writer.
         if self.ids.next() > self.site.next_chunk {
-            let removed = self.run(|c| remove_unreferenced(c, self.site.next_chunk));
+            let removed = self.remove_unreferenced();
             if removed.is_ok_and(|n| n > 0) {
                 self.tidy();
             }
@@ -476,70 +506,6 @@ impl Drop for Writer {
         self.lock = None;
         if let Place::Memory(memory) = &*self.place {
             *lock(&memory.writer) = false;
-        }
-    }
-}
-
-/// Removes chunk rows from `first` on.
-fn remove_unreferenced(connection: &Connection, first: i64) -> Result<u64, RowError> {
-    let mut removed = 0;
-    loop {
-        let rows = remove_some(connection, first, i64::MAX)?;
-        removed += rows as u64;
-        if rows < REMOVED_AT_ONCE {
-            return Ok(removed);
-        }
-    }
-}
-
-fn remove_some(connection: &Connection, first: i64, last: i64) -> Result<usize, RowError> {
-    let mut statement = connection.prepare_cached(
-        "DELETE FROM chunk WHERE id IN (SELECT id FROM chunk WHERE id BETWEEN ? AND ? ORDER BY id LIMIT ?)",
-    )?;
-    Ok(statement.execute((first, last, REMOVED_AT_ONCE as i64))?)
-}
-
-/// One transaction's worth; `None` when there is no garbage left.
-fn remove_some_garbage(connection: &Connection) -> Result<Option<u64>, RowError> {
-    let transaction = connection.unchecked_transaction()?;
-    let mut removed = 0;
-    let mut any = false;
-    while removed < REMOVED_AT_ONCE {
-        let mut ranges = transaction.prepare_cached("SELECT first, last FROM garbage ORDER BY first LIMIT 1")?;
-        let mut ranges = ranges.query([])?;
-        let Some(range) = ranges.next()? else { break };
-        let (first, last): (i64, i64) = (range.get(0)?, range.get(1)?);
-        drop(ranges);
-        any = true;
-        let rows = remove_some(&transaction, first, last)?;
-        removed += rows;
-        if rows < REMOVED_AT_ONCE {
-            transaction.prepare_cached("DELETE FROM garbage WHERE first = ?")?.execute([first])?;
-        }
-    }
-    transaction.commit()?;
-    Ok(any.then_some(removed as u64))
-}
-
-/// Gives free pages back, some at a time, if they are many: a few are soon used again, and to give them back pages from
-/// the end of the file would be moved into their places.
-fn vacuum(connection: &Connection) -> Result<(), RowError> {
-    let pages: i64 = connection.query_row("PRAGMA page_count", [], |row| row.get(0))?;
-    let free: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
-    if free <= pages / MOST_FREE {
-        return Ok(());
-    }
-    loop {
-        let free: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
-        if free == 0 {
-            return Ok(());
-        }
-        let mut statement = connection.prepare(&format!("PRAGMA incremental_vacuum({VACUUM_PAGES})"))?;
-        let mut steps = statement.query([])?;
-        while steps.next()?.is_some() {}
-        let left: i64 = connection.query_row("PRAGMA freelist_count", [], |row| row.get(0))?;
-        if left >= free {
-            return Ok(());
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The one row of `site`.
 
 use super::super::error::RowError;
+use super::super::log::LogMark;
 use super::super::model::Site;
 use super::{Columns, Put, Sql, Take, Taken, checked, put_row, to_i64, to_json};
 use crate::lattice::{BITS, Cube, Decimal, Lattice, NodeKey};
@@ -19,6 +20,7 @@ pub(in crate::store) struct SiteRow {
     pub nodes: u64,
     pub scans: u64,
     pub attributes: u64,
+    pub log: LogMark,
 }
 
 const TABLE: &str = "site";
@@ -36,11 +38,11 @@ pub(in crate::store) fn load_generation(connection: &Connection) -> Result<u64, 
 pub(in crate::store) fn load_site(connection: &Connection) -> Result<SiteRow, RowError> {
     let mut statement = connection.prepare_cached(
         "SELECT id, store_id, quantum, phase, g, leaf_capacity, roots, crs, generation, next_chunk, next_scan, nodes, \
-         scans, attributes, checksum FROM site",
+         scans, attributes, log, log_before, checksum FROM site",
     )?;
     let mut rows = statement.query([])?;
     let row = rows.next()?.ok_or_else(|| RowError::damage(TABLE, "the one row", "is missing"))?;
-    let columns = checked(TABLE, row, 15, || "the one row".into())?;
+    let columns = checked(TABLE, row, 17, || "the one row".into())?;
     let lattice =
         Lattice::new(decimals(&columns, 2)?, decimals(&columns, 3)?).map_err(|e| columns.wrong(e.to_string()))?;
     let g: u8 = columns.int(4)?;
@@ -62,6 +64,7 @@ pub(in crate::store) fn load_site(connection: &Connection) -> Result<SiteRow, Ro
         nodes: columns.int(11)?,
         scans: columns.int(12)?,
         attributes: columns.int(13)?,
+        log: LogMark { this: columns.int(14)?, before: columns.int(15)? },
     };
     drop(columns);
     match rows.next()? {
@@ -78,8 +81,8 @@ pub(in crate::store) fn put_site(connection: &Connection, row: &SiteRow) -> Resu
         connection,
         TABLE,
         "INSERT OR REPLACE INTO site (id, store_id, quantum, phase, g, leaf_capacity, roots, crs, generation, \
-         next_chunk, next_scan, nodes, scans, attributes, checksum) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         next_chunk, next_scan, nodes, scans, attributes, log, log_before, checksum) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         &[
             Sql::Int(1),
             Sql::Blob(&row.store_id),
@@ -95,6 +98,8 @@ pub(in crate::store) fn put_site(connection: &Connection, row: &SiteRow) -> Resu
             Sql::Int(to_i64(row.nodes, "the number of nodes")?),
             Sql::Int(to_i64(row.scans, "the number of scans")?),
             Sql::Int(to_i64(row.attributes, "the number of attributes")?),
+            Sql::Int(row.log.this),
+            Sql::Int(row.log.before),
         ],
     )
 }

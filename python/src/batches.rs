@@ -42,6 +42,7 @@ struct Decoding {
 impl Batches {
     pub fn new(snapshot: Snapshot, query: Query, cancel: Cancel, form: Form, size: usize) -> Self {
         let (sender, batches) = sync_channel(READ_AHEAD);
+        let query = form.complete(query);
         let thread = thread::spawn(move || {
             // If nobody listens any more the rest is not wanted.
             let hand_on = |batch| sender.send(batch).map_or(ControlFlow::Break(()), ControlFlow::Continue);
@@ -59,14 +60,14 @@ impl Batches {
 
 impl State {
     /// Waits until `size` points are there or the answer is at its end; looks for signals meanwhile.
-    fn fill(&mut self, size: usize) -> PyResult<()> {
+    fn fill(&mut self, form: &Form, size: usize) -> PyResult<()> {
         let mut there: usize = self.waiting.iter().map(|p| p.range.len()).sum();
         while there < size {
             let Some(source) = &self.source else { return Ok(()) };
             match source.batches.recv_timeout(LOOK_EVERY) {
                 Ok(batch) => {
                     there += batch.len();
-                    self.waiting.push(Piece { range: 0..batch.len(), batch: Arc::new(batch) });
+                    self.waiting.push(form.piece(batch));
                 }
                 Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals())?,
                 Err(RecvTimeoutError::Disconnected) => self.end()?,
@@ -109,7 +110,7 @@ impl Batches {
     fn take(&self, py: Python<'_>) -> PyResult<Option<Points>> {
         let pieces = py.detach(|| {
             let mut state = self.state();
-            state.fill(self.size)?;
+            state.fill(&self.form, self.size)?;
             Ok::<_, PyErr>(state.take(self.size))
         })?;
         Ok((!pieces.is_empty()).then(|| Points::new(self.form.clone(), pieces)))

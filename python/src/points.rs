@@ -1,6 +1,7 @@
 //! Points of an answer on their way to numpy: decoded batches, copied once, on all threads, into the arrays asked for.
 
 use crate::options::Give;
+use esker::export::Meeting;
 use esker::lattice::{BIAS, Lattice};
 use esker::points::{Attribute, Batch, Column, ScalarType, Scaling};
 use esker::query::{Query, QueryError};
@@ -25,6 +26,8 @@ pub struct Form {
     having: Vec<Option<Vec<ScanId>>>,
     give: Give,
     fields: Vec<Field>,
+    /// What is done where attributes of two kinds meet; nothing to values as they are stored.
+    meeting: Option<Meeting>,
 }
 
 /// A field of a record, a column of a table.
@@ -53,16 +56,38 @@ impl Form {
     /// The form of a query's answer.
     pub fn new(query: &Query, snapshot: &Snapshot, give: Give) -> Result<Self, QueryError> {
         let form = query.output_form(snapshot)?;
+        let meeting = (!give.raw).then(|| Meeting::of(snapshot, &form));
+        let attributes = meeting.as_ref().map_or(&form.attributes, |m| &m.attributes).clone();
         let contributing: Vec<_> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
-        let having = form.attributes.iter().map(|a| {
-            let stored = snapshot.attributes().iter().find(|s| s.attribute.identity() == a.identity())?;
-            let having = contributing.iter().filter(|s| s.attributes.contains(&stored.id)).map(|s| s.id);
-            let having: Vec<ScanId> = having.collect();
-            (having.len() < contributing.len()).then_some(having)
+        let stored = |a: &Attribute| {
+            let stored = snapshot.attributes().iter().find(|s| s.attribute.identity() == a.identity());
+            stored.map(|s| s.id)
+        };
+        let having = attributes.iter().map(|a| {
+            let kinds: Vec<_> = match &meeting {
+                Some(meeting) => meeting.kinds(a).filter_map(stored).collect(),
+                None => stored(a).into_iter().collect(),
+            };
+            let having = contributing.iter().filter(|s| kinds.iter().any(|kind| s.attributes.contains(kind)));
+            let having: Vec<ScanId> = having.map(|s| s.id).collect();
+            (!kinds.is_empty() && having.len() < contributing.len()).then_some(having)
         });
         let having = having.collect();
-        let fields = fields(&form.attributes, give);
-        Ok(Self { lattice: snapshot.site().lattice.clone(), attributes: form.attributes, having, give, fields })
+        let fields = fields(&attributes, give);
+        Ok(Self { lattice: snapshot.site().lattice.clone(), attributes, having, give, fields, meeting })
+    }
+
+    /// The query whose batches this form is given.
+    pub fn complete(&self, query: Query) -> Query {
+        if self.meeting.as_ref().is_some_and(Meeting::needs_scans) { query.with_scans(true) } else { query }
+    }
+
+    /// A whole batch as it is handed on.
+    pub fn piece(&self, mut batch: Batch) -> Piece {
+        if let Some(meeting) = &self.meeting {
+            meeting.apply(&mut batch);
+        }
+        Piece { range: 0..batch.len(), batch: Arc::new(batch) }
     }
 
     /// Appends a field's values of the points of `piece`.

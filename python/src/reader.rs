@@ -3,7 +3,7 @@
 use crate::batches::Batches;
 use crate::errors::{Failure, misuse};
 use crate::options::Options;
-use crate::points::{Form, Piece, Points};
+use crate::points::{Form, Points};
 use crate::waiting::{interruptible, quietly, to_its_end};
 use esker::points::{canonical_name, same_name};
 use esker::query::{Answer, Cancel, Query, QueryError};
@@ -149,8 +149,8 @@ impl Reader {
         let work = || {
             let form = Form::new(&query, &snapshot, options.give())?;
             let mut pieces = Vec::new();
-            let answer = query.run(&snapshot, |batch| {
-                pieces.push(Piece { range: 0..batch.len(), batch: Arc::new(batch) });
+            let answer = form.complete(query).run(&snapshot, |batch| {
+                pieces.push(form.piece(batch));
                 ControlFlow::Continue(())
             })?;
             Ok((Points::new(Arc::new(form), pieces), answer))
@@ -203,8 +203,8 @@ impl Reader {
         let points: Vec<[f64; 3]> = points.as_array().rows().into_iter().map(|p| [p[0], p[1], p[2]]).collect();
         let work = || {
             let form = Form::new(&query, &snapshot, options.give())?;
-            let found = query.nearest(&snapshot, &points, k, radius)?;
-            let piece = Piece { range: 0..found.batch.len(), batch: Arc::new(found.batch) };
+            let found = form.complete(query).nearest(&snapshot, &points, k, radius)?;
+            let piece = form.piece(found.batch);
             Ok((Points::new(Arc::new(form), vec![piece]), found.distances, found.ends))
         };
         let (points, distances, ends) = self::found(interruptible(py, || cancel.cancel(), quietly, work)?)?;

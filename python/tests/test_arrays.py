@@ -120,6 +120,44 @@ def test_a_name_of_two_types_is_told_apart(tmp_path):
         assert answer["quality:u8"].sum() == 150 and answer["quality:f32"].sum() == 25
 
 
+def ply(path, x, ty, red):
+    """Points in a row, of these levels of red in fields of this type; green is as many."""
+    head = "ply\nformat ascii 1.0\nelement vertex {}\n".format(len(red))
+    head += "".join(f"property double {axis}\n" for axis in "xyz")
+    head += "".join(f"property {ty} {name}\n" for name in ("red", "green", "blue"))
+    rows = "".join(f"{x + i} 0 0 {r} {r} {r}\n" for i, r in enumerate(red))
+    path.write_text(head + "end_header\n" + rows)
+
+
+def test_colours_of_two_kinds_are_one_field_unless_asked_otherwise(tmp_path):
+    ply(tmp_path / "few.ply", 0, "uchar", [0, 1, 255])
+    ply(tmp_path / "many.ply", 10, "ushort", [0, 256, 65535])
+    # 8 bits in fields of 16.
+    ply(tmp_path / "low.ply", 20, "ushort", [0, 1, 255])
+    files = [tmp_path / name for name in ("few.ply", "many.ply", "low.ply")]
+    esker.ingest(tmp_path / "s.esker", files)
+    every = [0, 257, 65535, 0, 256, 65535, 0, 257, 65535]
+    with esker.open(tmp_path / "s.esker") as store:
+
+        def red(answers, name="Red"):
+            points = np.concatenate([np.stack([a["x"], a[name]], 1) for a in answers])
+            return points[np.argsort(points[:, 0])][:, 1].astype(int).tolist()
+
+        answer = store.query(attributes="Red", masked=True)
+        assert answer.names == ("x", "y", "z", "Red") and answer["Red"].dtype == np.uint16
+        assert answer.nullable == () and red([answer]) == every
+        assert red(store.batches(4, attributes="Red")) == every
+        near = store.nearest([[2, 0, 0]], k=2, attributes="Red")
+        assert sorted(near["Red"].tolist()) == [257, 65535]
+        raw = store.query(attributes="Red", raw=True)
+        assert raw.names == ("x", "y", "z", "Red:u8", "Red:u16")
+        assert red([raw], "Red:u8") == [0, 1, 255] + 6 * [0]
+        assert red([raw], "Red:u16") == 3 * [0] + [0, 256, 65535, 0, 1, 255]
+        # Alone each is as it was read.
+        assert store.query(scans="few", attributes="Red")["Red"].dtype == np.uint8
+        assert red([store.query(scans="low", attributes="Red")]) == [0, 1, 255]
+
+
 def test_names_are_looked_up_as_in_filters(site):
     answer = site.store.query(attributes=["gps_time", "return_num", "CLASSIFICATION"], capacity=10)
     assert answer.names == ("x", "y", "z", "Classification", "GpsTime", "ReturnNumber")

@@ -73,9 +73,11 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let query = with_attributes(arguments.which.query(arguments.which.region(&snapshot)?)?, &arguments.attributes);
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
+    let query = query.with_scans(planned.meeting.needs_scans());
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
     let statistics = serde_json::to_value(&found.statistics)?;
     let Neighbors { mut batch, distances, ends, .. } = found;
+    planned.meeting.apply(&mut batch);
     let mut of_place = Vec::with_capacity(batch.len());
     for (place, &end) in ends.iter().enumerate() {
         of_place.resize(end, place as u64);
@@ -91,7 +93,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         create(&arguments.output, form, &planned.plan, &options)?
     };
     writer.write(&batch)?;
-    for note in writer.finish()? {
+    for note in planned.notes.into_iter().chain(writer.finish()?) {
         eprintln!("esker: {}", output::clean(&note));
     }
     let report = serde_json::json!({ "places": places.len(), "neighbours": batch.len(), "statistics": statistics });

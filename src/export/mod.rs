@@ -3,10 +3,12 @@
 
 mod error;
 mod frame;
+mod meeting;
 mod plan;
 mod split;
 
 pub use error::ExportError;
+pub use meeting::Meeting;
 pub use plan::{Planned, plan};
 
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
@@ -203,12 +205,12 @@ fn begin(
 impl Shape {
     /// Must it be known which scan a point is of?
     fn needs_scans(&self) -> bool {
-        !self.planned.brighten.is_empty()
+        self.planned.meeting.needs_scans()
     }
 
     /// Makes the points of a batch what the file has.
     fn apply(&self, batch: &mut Batch) -> Result<(), ExportError> {
-        self.planned.deepen(batch);
+        self.planned.meeting.apply(batch);
         self.frame.as_ref().map_or(Ok(()), |frame| frame.apply(batch))
     }
 }

@@ -1,20 +1,20 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
-use super::ExportError;
+use super::{ExportError, Meeting};
 use crate::formats::{LasTarget, OutputFormat, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, LatticeBox, LatticePoint};
-use crate::points::{Batch, Column, LasFacts, ScalarType};
+use crate::points::LasFacts;
 use crate::query::OutputForm;
 use crate::store::Snapshot;
 use crate::store::model::Scan;
 
-/// The plan, and what to do with colours of different depths.
+/// The plan, and what to do with attributes of two kinds.
 pub struct Planned {
     /// What the writer is told.
     pub plan: OutputPlan,
-    /// The ids of scans whose 8-bit colours are to be brought to 16 bits.
-    pub brighten: Vec<u32>,
+    /// What is done to each batch before it is written.
+    pub meeting: Meeting,
     /// Are all GPS times adjusted standard ones?
     pub standard_gps_time: bool,
     /// What a user should know.
@@ -52,16 +52,8 @@ pub fn plan(
             merged(snapshot, &scans, form.bounds, scale)?
         }
     };
-    // Colours of 8 bits in fields of 16: in fields of 8 they are an attribute of their own.
-    let fields =
-        snapshot.attributes().iter().filter(|a| a.attribute.name == "Red" && a.attribute.ty == ScalarType::U16);
-    let fields: Vec<_> = fields.map(|a| a.id).collect();
-    let of_depth = |s: &Scan, bits: u8| s.color_depth == Some(bits) && s.attributes.iter().any(|a| fields.contains(a));
-    let deep = scans.iter().any(|s| of_depth(s, 16));
-    let brighten: Vec<u32> = scans.iter().filter(|s| deep && of_depth(s, 8)).map(|s| s.id).collect();
-    if !brighten.is_empty() {
-        notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
-    }
+    let meeting = Meeting::of(snapshot, form);
+    notes.extend(meeting.notes.iter().cloned());
     // Scans without times say nothing of them.
     let has_times = |s: &&&Scan| {
         let mut names = s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &a.attribute.name);
@@ -79,11 +71,11 @@ pub fn plan(
     Ok(Planned {
         plan: OutputPlan {
             lattice: site.lattice.clone(),
-            attributes: form.attributes.clone(),
+            attributes: meeting.attributes.clone(),
             crs: site.crs.clone(),
             las,
         },
-        brighten,
+        meeting,
         standard_gps_time: standard > 0 && standard == timed.len(),
         notes,
     })
@@ -161,25 +153,4 @@ fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) 
         }
     }
     None
-}
-
-impl Planned {
-    /// Brings colours of 8 bits to 16, where both meet.
-    pub fn deepen(&self, batch: &mut Batch) {
-        if self.brighten.is_empty() {
-            return;
-        }
-        let names: Vec<usize> = (0..batch.attributes.len())
-            .filter(|&i| ["Red", "Green", "Blue", "Infrared"].contains(&batch.attributes[i].name.as_str()))
-            .collect();
-        for i in names {
-            if let Column::U16(values) = &mut batch.columns[i] {
-                for (value, scan) in values.iter_mut().zip(&batch.scans) {
-                    if self.brighten.binary_search(scan).is_ok() {
-                        *value = value.saturating_mul(257);
-                    }
-                }
-            }
-        }
-    }
 }

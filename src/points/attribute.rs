@@ -174,9 +174,23 @@ pub fn canonical_name(name: &str) -> Option<&'static str> {
     canonical.or_else(|| SYNONYMS.iter().find(|(s, _)| *s == folded).map(|(_, c)| *c))
 }
 
+/// A scan angle in whole degrees in steps of 0.006 degrees: the nearest one.
+pub fn angle_steps(degrees: i8) -> i16 {
+    // A degree is 1000/6 steps: add half a step away from zero, then cut.
+    let sixths = 1000 * i32::from(degrees) + 3 * i32::from(degrees.signum());
+    (sixths / 6) as i16
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn degrees_become_the_nearest_steps() {
+        for degrees in i8::MIN..=i8::MAX {
+            assert_eq!(angle_steps(degrees), (f64::from(degrees) / 0.006).round() as i16, "{degrees}");
+        }
+    }
 
     #[test]
     fn users_names_find_the_canonical_ones() {

@@ -9,7 +9,7 @@ mod provenance;
 mod record;
 mod wkt;
 
-pub use attribute::{Attribute, ScalarType, Scaling, canonical_name, same_name};
+pub use attribute::{Attribute, ScalarType, Scaling, angle_steps, canonical_name, same_name};
 pub use batch::{Batch, Positions};
 pub use column::Column;
 pub use provenance::{Crs, LasFacts, RawVlr};

@@ -1,6 +1,6 @@
 //! From columns to rows: every attribute is put at its place in fixed-size records, column by column.
 
-use crate::points::Column;
+use crate::points::{Column, angle_steps};
 use std::ops::Range;
 
 /// How the values of a column become bytes of a record.
@@ -79,7 +79,7 @@ pub(super) fn put(
         }
         (Put::Degrees, Column::I8(values)) => {
             for (row, &degrees) in rows.chunks_exact_mut(stride).zip(&values[range]) {
-                let steps = steps_from_degrees(degrees);
+                let steps = angle_steps(degrees);
                 add(&mut row[at..at + 2], steps.cast_unsigned());
             }
         }
@@ -109,25 +109,11 @@ fn add(bytes: &mut [u8], value: u16) {
     bytes.copy_from_slice(&there.wrapping_add(value).to_le_bytes());
 }
 
-/// The nearest multiple of 0.006 degrees, in such steps.
-fn steps_from_degrees(degrees: i8) -> i16 {
-    // A degree is 1000/6 steps: add half a step away from zero, then cut.
-    let sixths = 1000 * i32::from(degrees) + 3 * i32::from(degrees.signum());
-    (sixths / 6) as i16
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::points::ScalarType;
     use proptest::prelude::*;
-
-    #[test]
-    fn degrees_become_the_nearest_steps() {
-        for degrees in i8::MIN..=i8::MAX {
-            assert_eq!(steps_from_degrees(degrees), (f64::from(degrees) / 0.006).round() as i16, "{degrees}");
-        }
-    }
 
     proptest! {
         #[test]

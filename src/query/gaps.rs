@@ -18,49 +18,64 @@ pub(crate) struct Gap {
     pub distance: f64,
 }
 
-/// The keys of the points that were looked at.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Looked {
-    /// Those that are in the answer.
-    pub returned: Vec<Key>,
-    /// Those that do not match, each with its layer.
-    pub missed: Vec<(u16, Key)>,
+/// A point that does not match: the layer and the key of where it is.
+pub(crate) type Missed = (u16, Key);
+
+/// How far what was left out is from what was returned.
+pub(crate) struct Bound<'g> {
+    /// The keys of the points that are in the answer, ascending.
+    returned: Vec<Key>,
+    gaps: &'g [Gap],
+    /// For each gap the largest cell that may be empty of returned points: so far that of none that was missed.
+    cells: Vec<Option<u8>>,
 }
 
-/// Within which distance of a returned point everything in the gaps lies, in CRS units and in pixels; `None` if nothing was
-/// returned of something. No larger for an answer that holds more of the same sequence.
-pub(crate) fn bound(mut looked: Looked, gaps: &[Gap], metric: &Metric, camera: &Camera) -> (Option<f64>, Option<f64>) {
-    if gaps.is_empty() {
-        return (Some(0.0), Some(0.0));
+impl<'g> Bound<'g> {
+    /// Of what was left out in these gaps, with the keys of the points that were returned.
+    pub fn new(mut returned: Vec<Key>, gaps: &'g [Gap]) -> Self {
+        returned.sort_unstable();
+        let cell = |gap: &Gap| match gap.cell {
+            None => smallest_around(&returned, gap.cube.first_key(), gap.cube.k()),
+            cell => cell,
+        };
+        let cells = gaps.iter().map(cell).collect();
+        Self { returned, gaps, cells }
     }
-    if looked.returned.is_empty() {
-        return (None, None);
-    }
-    looked.returned.sort_unstable();
-    looked.missed.sort_unstable();
-    let (mut world, mut px) = (0.0_f64, 0.0_f64);
-    for gap in gaps {
-        let (first, last) = (gap.cube.first_key(), gap.cube.last_key());
-        let mut cell = gap.cell;
-        match gap.cell {
-            None => cell = smallest_around(&looked.returned, first, gap.cube.k()),
-            Some(c) => {
-                let from = looked.missed.partition_point(|m| *m < (gap.layer, first));
-                let to = looked.missed.partition_point(|m| *m <= (gap.layer, last));
-                let mut before = None;
-                for (_, key) in &looked.missed[from..to] {
-                    let hole = key.floor(c);
-                    if before.replace(hole) != Some(hole) {
-                        cell = cell.max(smallest_around(&looked.returned, hole, c));
-                    }
+
+    /// Takes in points that do not match: in any order, some at a time, each as often as one likes.
+    pub fn miss(&mut self, missed: &mut [Missed]) {
+        missed.sort_unstable();
+        for (gap, cell) in self.gaps.iter().zip(&mut self.cells) {
+            let Some(c) = gap.cell else { continue };
+            let from = missed.partition_point(|m| *m < (gap.layer, gap.cube.first_key()));
+            let to = missed.partition_point(|m| *m <= (gap.layer, gap.cube.last_key()));
+            let mut before = None;
+            for (_, key) in &missed[from..to] {
+                let hole = key.floor(c);
+                if before.replace(hole) != Some(hole) {
+                    *cell = (*cell).max(smallest_around(&self.returned, hole, c));
                 }
             }
         }
-        let bound = metric.step_bound(cell.unwrap_or(BITS) as i8, 7);
-        world = world.max(bound);
-        px = px.max(camera.pixels_of_length(bound, gap.distance));
     }
-    (Some(world), Some(px).filter(|px| px.is_finite()))
+
+    /// Within which distance of a returned point everything in the gaps lies, in CRS units and in pixels; `None` if nothing
+    /// was returned of something. No larger for an answer that holds more of the same sequence.
+    pub fn finish(self, metric: &Metric, camera: &Camera) -> (Option<f64>, Option<f64>) {
+        if self.gaps.is_empty() {
+            return (Some(0.0), Some(0.0));
+        }
+        if self.returned.is_empty() {
+            return (None, None);
+        }
+        let (mut world, mut px) = (0.0_f64, 0.0_f64);
+        for (gap, cell) in self.gaps.iter().zip(&self.cells) {
+            let bound = metric.step_bound(cell.unwrap_or(BITS) as i8, 7);
+            world = world.max(bound);
+            px = px.max(camera.pixels_of_length(bound, gap.distance));
+        }
+        (Some(world), Some(px).filter(|px| px.is_finite()))
+    }
 }
 
 /// The exponent, at least `c`, of the smallest cell around the cell of exponent `c` with this first key that holds one of

@@ -2,7 +2,7 @@
 
 use super::answer::{Answer, Meter, Stage};
 use super::cells::cells_of;
-use super::gaps::{self, Looked};
+use super::gaps::{Bound, Gap, Missed};
 use super::part::{Found, Look, Part};
 use super::plan::{Plan, Prospect, Scope};
 use super::policy::{Policy, select_by_distance};
@@ -17,6 +17,9 @@ use std::cmp::Reverse;
 
 /// Parts that are matched together, in a view under a filter.
 const VIEW_WINDOW: usize = 16;
+
+/// So many points that do not match are remembered; of more their parts are looked at again.
+const MOST_MISSED: usize = if cfg!(test) { 500 } else { 1 << 20 };
 
 /// What a camera needs.
 pub(crate) fn view(
@@ -103,10 +106,11 @@ fn filtered_view(
         Ok::<_, QueryError>(cut.no_finer_than(finest))
     };
     let mut cut = begin()?;
-    let mut looked = Looked::default();
+    let (mut returned, mut missed): (Vec<Key>, Option<Vec<Missed>>) = (Vec::new(), Some(Vec::new()));
+    let mut looked: Vec<(NodeIx, usize)> = Vec::new();
     let mut tasks: Vec<Task> = Vec::new();
     let mut left = capacity.unwrap_or(u64::MAX);
-    let (mut total, mut parts, mut cut_short) = (0, 0_usize, false);
+    let (mut total, mut cut_short) = (0, false);
     while left > 0 {
         let window = std::iter::from_fn(|| cut.advance().transpose()).take(VIEW_WINDOW);
         let window: Vec<(Node, usize)> = window.collect::<Result<_, _>>()?;
@@ -118,9 +122,12 @@ fn filtered_view(
             if left == 0 {
                 break;
             }
-            parts += 1;
-            let Matching { mut indices, mut keys, missed } = matched;
-            looked.missed.extend(missed);
+            looked.push((node.ix(), *part));
+            let Matching { mut indices, mut keys, missed: more } = matched;
+            missed = missed.filter(|all| all.len() + more.len() <= MOST_MISSED);
+            if let Some(missed) = &mut missed {
+                missed.extend(more);
+            }
             let all = node.parts[*part].points;
             if indices.len() as u64 > left {
                 cut_short = true;
@@ -132,7 +139,7 @@ fn filtered_view(
             }
             left -= indices.len() as u64;
             total += indices.len() as u64;
-            looked.returned.extend(keys);
+            returned.extend(keys);
             if !indices.is_empty() {
                 tasks.push(Task::Picked { node: node.ix(), part: *part, points: all, indices: Some(indices) });
             }
@@ -142,7 +149,7 @@ fn filtered_view(
     if left == 0 {
         // The window went on beyond what was taken: again as far as that.
         cut = begin()?;
-        for _ in 0..parts {
+        for _ in 0..looked.len() {
             cut.advance()?;
         }
         if cut_short {
@@ -150,10 +157,33 @@ fn filtered_view(
         }
     }
     let complete = !cut_short && cut.is_complete();
-    let gaps = cut.gaps();
-    let (bound, px) =
-        if complete { (Some(0.0), Some(0.0)) } else { gaps::bound(looked, &gaps, &plan.metric(), camera) };
+    let (bound, px) = if complete {
+        (Some(0.0), Some(0.0))
+    } else {
+        let gaps = cut.gaps();
+        let mut bound = Bound::new(returned, &gaps);
+        match missed {
+            Some(mut missed) => bound.miss(&mut missed),
+            None => miss_again(plan, &looked, &gaps, &mut bound)?,
+        }
+        bound.finish(&plan.metric(), camera)
+    };
     Ok((tasks, Answer { points: total, error_bound: bound, error_bound_px: px, ..Answer::default() }))
+}
+
+/// Looks at parts again, for the points in gaps that do not match.
+fn miss_again(plan: &Plan, looked: &[(NodeIx, usize)], gaps: &[Gap], bound: &mut Bound<'_>) -> Result<(), QueryError> {
+    for window in looked.chunks(VIEW_WINDOW) {
+        let missed = plan.each(window.to_vec(), |(node, part)| {
+            let node = plan.nodes.node(node)?;
+            let (cube, layer) = (node.cube, node.layer);
+            let meets =
+                |gap: &Gap| gap.layer == layer && (gap.cube.contains_cube(cube) || cube.contains_cube(gap.cube));
+            if gaps.iter().any(meets) { Ok(matching(plan, &node, part)?.missed) } else { Ok(Vec::new()) }
+        })?;
+        bound.miss(&mut missed.concat());
+    }
+    Ok(())
 }
 
 /// What was found in a part.
@@ -162,7 +192,7 @@ struct Matching {
     indices: Vec<u32>,
     keys: Vec<Key>,
     /// The keys of those that do not, as far as something may match in their cells.
-    missed: Vec<(u16, Key)>,
+    missed: Vec<Missed>,
 }
 
 fn matching(plan: &Plan, node: &Node, part: usize) -> Result<Matching, QueryError> {

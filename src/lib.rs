@@ -9,6 +9,7 @@ pub mod ingest;
 pub mod lattice;
 pub mod octree;
 pub mod points;
+pub mod processor;
 pub mod query;
 #[cfg(feature = "render")]
 pub mod render;

@@ -4,5 +4,9 @@
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> std::process::ExitCode {
+    if let Some(lacks) = esker::processor::lacks() {
+        eprintln!("esker: {lacks}");
+        return std::process::ExitCode::FAILURE;
+    }
     esker::cli::main()
 }

@@ -29,4 +29,11 @@ mod _esker {
     use super::points::Points;
     #[pymodule_export]
     use super::reader::{Reader, same_attribute};
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(_: &Bound<'_, PyModule>) -> PyResult<()> {
+        let lacks = esker::processor::lacks();
+        lacks.map_or(Ok(()), |lacks| Err(pyo3::exceptions::PyImportError::new_err(lacks)))
+    }
 }

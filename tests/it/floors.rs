@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 const FLOORS: &[(&str, &[&str])] = &[
     ("geometry", &[]),
     ("lattice", &["geometry"]),
+    ("processor", &[]),
     ("points", &["lattice", "geometry"]),
     ("codec", &["points", "lattice", "geometry"]),
     ("octree", &["points", "lattice", "geometry"]),

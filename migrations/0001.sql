@@ -1,5 +1,6 @@
 -- Format version 1. docs/format.md says what every column means and which invariants hold.
--- `checksum` is over all other columns of the row, in this order (src/store/checksum.rs).
+-- `checksum` is over all other columns of the row, in this order (src/store/checksum.rs), but for `bytes` of a chunk, which
+-- `pieces` has checksums of.
 
 CREATE TABLE site (
     id            INTEGER PRIMARY KEY CHECK (id = 1),
@@ -82,6 +83,7 @@ CREATE TABLE chunk (
     slot     INTEGER NOT NULL,
     points   INTEGER NOT NULL,
     codec    INTEGER NOT NULL,
+    pieces   BLOB    NOT NULL,
     checksum INTEGER NOT NULL,
     bytes    BLOB    NOT NULL
 ) STRICT;

@@ -6,6 +6,7 @@ import sqlite3
 import esker
 import numpy as np
 import pytest
+import xxhash
 from reference_codec import MET, Damaged
 from reference_reader import Store, checksum
 from reference_tree import assert_is_the_tree_of_its_points
@@ -244,6 +245,10 @@ def test_a_flipped_byte_is_found_by_the_checksum_of_its_row(copy, table, column)
         read_all(path)
 
 
+def varint(number):
+    return bytes([number]) if number < 128 else bytes([number & 127 | 128]) + varint(number >> 7)
+
+
 def test_every_byte_of_a_chunk_counts(copy):
     """Changed ones, under a checksum that fits, are an error or other points."""
     path, rng = copy(few), np.random.default_rng(9)
@@ -252,8 +257,11 @@ def test_every_byte_of_a_chunk_counts(copy):
     chunks = database.execute("SELECT id, layer, key, part, slot, points, codec, bytes FROM chunk").fetchall()
 
     def put(row):
-        values = row[-1], checksum("chunk", row), row[0]
-        database.execute("UPDATE chunk SET bytes = ?, checksum = ? WHERE id = ?", values)
+        *others, data = row
+        # One piece, which is needed with any block.
+        pieces = varint(len(data)) + bytes([0]) + xxhash.xxh3_64_intdigest(data).to_bytes(8, "little")
+        values = data, pieces, checksum("chunk", [*others, pieces]), row[0]
+        database.execute("UPDATE chunk SET bytes = ?, pieces = ?, checksum = ? WHERE id = ?", values)
         database.commit()
 
     refused = 0

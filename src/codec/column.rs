@@ -1,7 +1,7 @@
 //! Chunks of attributes.
 
 use super::block::{needs_passes, put_block, read_block};
-use super::directory::{Directory, put_head, read_head};
+use super::directory::{Cut, Directory, put_head, read_head};
 use super::joint::{Leaders, MAX_LEADERS};
 use super::leaders::Kept;
 use super::morton;
@@ -175,6 +175,17 @@ enum Content<'a> {
     Blocks(Directory<'a>),
 }
 
+/// See [`cuts`](super::cuts).
+pub(super) fn cuts(bytes: &[u8], count: usize) -> Result<Vec<Cut>, CodecError> {
+    let mut reader = Reader::new(bytes);
+    read_head(&mut reader, CODEC, count)?;
+    if reader.u8(TYPE)? & CONSTANT != 0 {
+        return Ok(vec![Cut { end: bytes.len(), block: None }]);
+    }
+    let blocks = block_count(count);
+    Ok(Directory::read(reader, blocks)?.cuts(blocks, bytes.len()))
+}
+
 impl<'a> ColumnChunk<'a> {
     /// Reads the head of the chunk of `count` values.
     ///
@@ -236,6 +247,16 @@ impl<'a> ColumnChunk<'a> {
             Content::Constant(bits) => Some(bits.to_le_bytes()),
             Content::Blocks(_) => None,
         }
+    }
+
+    /// Appends the value that all points have so many times, if the chunk says so and `out` has its type.
+    pub fn repeat(&self, count: usize, out: &mut Column) -> bool {
+        let Content::Constant(bits) = self.content else { return false };
+        let same = out.ty() == self.ty;
+        if same {
+            with_column!(out, values => values.resize(values.len() + count, Value::of_bits(bits)));
+        }
+        same
     }
 
     /// Appends the values of one block.

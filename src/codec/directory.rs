@@ -3,7 +3,8 @@
 //! The head is `codec u8, count varint`; the kind's own bytes follow, and then per block its length as a varint.
 
 use super::reader::{Reader, put_varint};
-use super::{CodecError, MAX_POINTS};
+use super::{CodecError, MAX_POINTS, PositionChunk, column};
+use crate::lattice::Cube;
 
 /// Writes codec and count.
 pub(super) fn put_head(codec: u8, count: usize, out: &mut Vec<u8>) -> Result<(), CodecError> {
@@ -13,6 +14,28 @@ pub(super) fn put_head(codec: u8, count: usize, out: &mut Vec<u8>) -> Result<(),
     out.push(codec);
     put_varint(count as u64, out);
     Ok(())
+}
+
+/// The end of a piece of a chunk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// From the front of the chunk.
+    pub end: usize,
+    /// The block that it is; `None`: it is needed with any.
+    pub block: Option<usize>,
+}
+
+/// The pieces in which the chunk of `count` points can be read, in order: those that are a block each, and what lies before,
+/// between and behind them. For positions their cube is given.
+///
+/// # Errors
+///
+/// [`CodecError`] if its head is none.
+pub fn cuts(bytes: &[u8], positions_of: Option<Cube>, count: usize) -> Result<Vec<Cut>, CodecError> {
+    match positions_of {
+        Some(cube) => Ok(PositionChunk::parse(bytes, cube, count)?.cuts(bytes.len())),
+        None => column::cuts(bytes, count),
+    }
 }
 
 /// Reads codec and count, which must be those expected.
@@ -57,6 +80,15 @@ impl<'a> Directory<'a> {
             return Err(CodecError::Length { place: "blocks", expected: end, found: bytes.len() });
         }
         Ok(Self { ends, bytes })
+    }
+
+    /// See [`cuts`]; of a chunk of so many bytes, of which the first `blocks` blocks can be read without each other.
+    pub(super) fn cuts(&self, blocks: usize, chunk_bytes: usize) -> Vec<Cut> {
+        let head = chunk_bytes - self.bytes.len();
+        let mut cuts = vec![Cut { end: head, block: None }];
+        cuts.extend((0..blocks).map(|block| Cut { end: head + self.ends[block], block: Some(block) }));
+        cuts.push(Cut { end: chunk_bytes, block: None });
+        cuts
     }
 
     /// The bytes of one block.

@@ -39,6 +39,7 @@ mod wide;
 
 pub use checksum::Checksum;
 pub use column::ColumnChunk;
+pub use directory::{Cut, cuts};
 pub use error::CodecError;
 pub use passes::Passes;
 pub use position::PositionChunk;

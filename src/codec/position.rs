@@ -4,7 +4,7 @@
 //! differences from key to key, which are small and often zero, as residuals. Cubes whose keys have more than 63 bits
 //! go through [`wide`](super::wide).
 
-use super::directory::{Directory, put_head, read_head};
+use super::directory::{Cut, Directory, put_head, read_head};
 use super::passes::{self, Passes};
 use super::reader::{Reader, put_uint, put_varint};
 use super::residual::{plan_all, put_residuals, read_residuals};
@@ -156,6 +156,11 @@ impl<'a> PositionChunk<'a> {
             bounds.push(LatticeBox { min, max });
         }
         Ok(Self { cube, count, bounds, directory: Directory::read(reader, 2 * block_count(count))? })
+    }
+
+    /// See [`cuts`](super::cuts).
+    pub(super) fn cuts(&self, chunk_bytes: usize) -> Vec<Cut> {
+        self.directory.cuts(self.bounds.len(), chunk_bytes)
     }
 
     /// The number of points.

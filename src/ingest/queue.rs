@@ -110,7 +110,7 @@ mod tests {
 
     fn node(id: i64, bytes: usize) -> EncodedNode {
         let cube = Cube::containing(LatticePoint::default(), 9);
-        let row = ChunkRow { id, layer: 0, cube, part: 0, slot: 0, points: 1, bytes: vec![0; bytes] };
+        let row = ChunkRow::new(id, (0, cube), 0, 0, 1, vec![0; bytes]);
         EncodedNode { head: NodeHead::without_points(0, cube), zones: Zones::default(), chunks: vec![row] }
     }
 

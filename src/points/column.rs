@@ -164,6 +164,21 @@ impl Column {
         gather!(U8, I8, U16, I16, U32, I32, U64, I64, F32, F64);
     }
 
+    /// Of the values from `start` on keeps those at `indices`, which ascend and count from there.
+    ///
+    /// # Panics
+    ///
+    /// If an index is out of range or not below those after it.
+    pub fn keep_after(&mut self, start: usize, indices: &[u32]) {
+        with_column!(self, values => {
+            let after = &mut values[start..];
+            for (to, &from) in indices.iter().enumerate() {
+                after[to] = after[from as usize];
+            }
+            values.truncate(start + indices.len());
+        });
+    }
+
     /// Appends all values of `other`.
     ///
     /// # Panics

@@ -10,7 +10,7 @@ use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
 use crate::points::{Column, Positions, ScalarType};
 use crate::store::model::{SLOT_POSITION, SLOT_SCAN, Slot};
-use crate::store::{CachedBlock, ChunkBytes, Node, NodeIx, ReadCost, follow};
+use crate::store::{CachedBlock, ChunkBytes, Node, NodeIx, ReadCost, WantedBlocks, follow};
 use std::cell::RefCell;
 use std::sync::Arc;
 
@@ -25,6 +25,8 @@ pub(crate) struct Part<'a> {
     part: usize,
     pub(super) points: usize,
     chunks: Vec<(Slot, Option<ChunkBytes>)>,
+    /// The blocks that are looked at; `None`: all. Of what is read, those are there.
+    wanted: Option<Vec<bool>>,
 }
 
 /// What was found in one block.
@@ -63,7 +65,7 @@ impl<'a> Part<'a> {
     pub fn new(plan: &'a Plan, head: &Node, part: usize) -> Self {
         let points = head.parts.get(part).map_or(0, |p| p.points as usize);
         Meter::add(&plan.meter.parts, 1);
-        Self { plan, head: head.clone(), part, points, chunks: Vec::new() }
+        Self { plan, head: head.clone(), part, points, chunks: Vec::new(), wanted: None }
     }
 
     /// Reads the chunks of these columns that are not there yet.
@@ -72,7 +74,7 @@ impl<'a> Part<'a> {
         for slot in slots {
             // Columns can be decoded only with those that they follow.
             for slot in [slot].into_iter().chain(self.plan.snapshot.leaders(slot)) {
-                if !missing.contains(&slot) && self.chunks.iter().all(|(have, _)| *have != slot) {
+                if !missing.contains(&slot) && !self.has_read(slot) {
                     missing.push(slot);
                 }
             }
@@ -80,18 +82,73 @@ impl<'a> Part<'a> {
         if missing.is_empty() {
             return Ok(());
         }
-        let meter = &self.plan.meter;
-        let mut cost = ReadCost::default();
-        let read =
-            meter.time(Stage::Reading, || self.plan.snapshot.read_part(&self.head, self.part, &missing, &mut cost))?;
-        Meter::add(&meter.chunks, cost.rows);
-        Meter::add(&meter.bytes_read, cost.bytes);
-        Meter::add(&meter.chunks_cached, cost.cached);
-        self.chunks.extend(missing.into_iter().zip(read));
+        self.chunks.retain(|(have, _)| !missing.contains(have));
+        match self.wanted.clone() {
+            None => self.read_blocks(&missing, None),
+            wanted => self.read_blocks(&missing, Some(&mut |_, _| wanted.clone())),
+        }
+    }
+
+    /// Reads the positions of the blocks that are not skipped, and no others of what is read later.
+    pub(super) fn read_positions(&mut self, skips: &dyn Fn(&LatticeBox) -> bool) -> Result<(), QueryError> {
+        let (cube, points) = (self.head.cube, self.points);
+        let unskipped = |bytes: &[u8]| {
+            let positions = PositionChunk::parse(bytes, cube, points).ok()?;
+            Some(positions.blocks().iter().map(|bounds| !skips(bounds)).collect::<Vec<bool>>())
+        };
+        let mut wanted = None;
+        self.read_blocks(
+            &[SLOT_POSITION],
+            Some(&mut |slot, bytes| {
+                // Small ones are in a row with others, and are read whole.
+                wanted = (slot == SLOT_POSITION).then(|| unskipped(bytes)).flatten();
+                wanted.clone()
+            }),
+        )?;
+        // Not asked for where the row was there already or has one block.
+        self.wanted = wanted.or_else(|| unskipped(self.chunk(SLOT_POSITION)?));
         Ok(())
     }
 
-    /// Bytes of the columns read so far.
+    /// Of what is read from now on only these blocks are wanted.
+    pub(super) fn want(&mut self, blocks: impl Iterator<Item = usize>) {
+        let mut wanted = vec![false; block_count(self.points)];
+        for block in blocks {
+            if let Some(wanted) = wanted.get_mut(block) {
+                *wanted = true;
+            }
+        }
+        self.wanted = Some(wanted);
+    }
+
+    /// Is no block looked at?
+    pub(super) fn wants_nothing(&self) -> bool {
+        self.wanted.as_ref().is_some_and(|blocks| !blocks.contains(&true))
+    }
+
+    /// Was of a column all read that is wanted?
+    fn has_read(&self, slot: Slot) -> bool {
+        let is_there = |chunk: &ChunkBytes| {
+            (0..block_count(self.points))
+                .all(|block| chunk.has(block) || self.wanted.as_ref().is_some_and(|wanted| !wanted[block]))
+        };
+        self.chunks.iter().any(|(have, chunk)| *have == slot && chunk.as_ref().is_none_or(is_there))
+    }
+
+    /// Reads so much of these columns, of which none is there yet.
+    fn read_blocks(&mut self, slots: &[Slot], wanted: Option<&mut WantedBlocks<'_>>) -> Result<(), QueryError> {
+        let meter = &self.plan.meter;
+        let mut cost = ReadCost::default();
+        let read = meter
+            .time(Stage::Reading, || self.plan.snapshot.read_blocks(&self.head, self.part, slots, wanted, &mut cost))?;
+        Meter::add(&meter.chunks, cost.rows);
+        Meter::add(&meter.bytes_read, cost.bytes);
+        Meter::add(&meter.chunks_cached, cost.cached);
+        self.chunks.extend(slots.iter().copied().zip(read));
+        Ok(())
+    }
+
+    /// Bytes of the columns that were read, whole or some blocks of them.
     pub fn bytes_read(&self) -> u64 {
         self.chunks.iter().flat_map(|(_, chunk)| chunk).map(|chunk| chunk.len() as u64).sum()
     }
@@ -142,7 +199,11 @@ impl<'a> Part<'a> {
         let plan = self.plan;
         let needs_scans = plan.scans.is_some() || plan.filter.is_some();
         let slots = plan.filter_columns.iter().map(|(s, _)| *s);
-        self.read([SLOT_POSITION].into_iter().chain(needs_scans.then_some(SLOT_SCAN)).chain(slots))?;
+        self.read_positions(look.skips)?;
+        if self.wants_nothing() {
+            return Ok(Vec::new());
+        }
+        self.read(needs_scans.then_some(SLOT_SCAN).into_iter().chain(slots))?;
         plan.meter.time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.find_with(decoder, look)))
     }
 
@@ -191,7 +252,7 @@ impl<'a> Part<'a> {
             Containment::Inside => Mask::all(len),
             Containment::Partly => {
                 decode_positions(decoder, &mut content.positions)?;
-                plan.region.test(&content.positions)
+                plan.region.test(&content.positions, bounds)
             }
         };
         if !mask.is_none()
@@ -221,7 +282,7 @@ impl<'a> Part<'a> {
             mask.and(&filter.matching(&content));
         }
         if !mask.is_none() && placed == Containment::Partly {
-            plan.leave_faces(&content.positions, &mut mask);
+            plan.leave_faces(&content.positions, bounds, &mut mask);
         }
         if mask.is_none() && !look.misses {
             return Ok(None);

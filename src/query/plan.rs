@@ -7,7 +7,7 @@ use super::mask::Mask;
 use super::region::LatticeRegion;
 use super::{Attributes, Query, QueryError, Region, error::nearest};
 use crate::geometry::Containment;
-use crate::lattice::{BITS, Cube, Lattice, LatticeBox};
+use crate::lattice::{BITS, Cube, Lattice, LatticeBox, LatticePoint};
 use crate::octree::Metric;
 use crate::points::{Attribute, Positions, ScalarType};
 use crate::store::model::{ScanId, Slot, StoredAttribute};
@@ -135,11 +135,21 @@ impl Plan {
         }
     }
 
-    /// Removes the points on the maximum faces, and counts them; `positions` are those of the block.
-    pub fn leave_faces(&self, positions: &Positions, mask: &mut Mask) {
+    /// Removes the points on the maximum faces, and counts them; `positions` are those of a block, which is within
+    /// `bounds`.
+    pub fn leave_faces(&self, positions: &Positions, bounds: &LatticeBox, mask: &mut Mask) {
         let Some(taken) = &self.taken else { return };
+        if let (Some(closed), Some(taken)) = (self.region.as_box(), taken.as_box())
+            && taken.contains_box(&LatticeBox {
+                min: LatticePoint(std::array::from_fn(|i| closed.min.0[i].max(bounds.min.0[i]))),
+                max: LatticePoint(std::array::from_fn(|i| closed.max.0[i].min(bounds.max.0[i]))),
+            })
+        {
+            // The block reaches no maximum face.
+            return;
+        }
         let before = mask.count();
-        mask.and(&taken.test(positions));
+        mask.and(&taken.test(positions, bounds));
         Meter::add(&self.meter.on_maximum_faces, (before - mask.count()) as u64);
     }
 

@@ -5,7 +5,7 @@ use super::answer::{Meter, Stage};
 use super::block::{Block, BlockScans};
 use super::mask::Mask;
 use super::part::{DECODER, Found, Look, Part};
-use crate::codec::{ColumnChunk, Decoder, PositionChunk, block_count, block_range};
+use crate::codec::{BLOCK_POINTS, ColumnChunk, Decoder, PositionChunk, block_count, block_range};
 use crate::points::{Batch, Column, Positions, ScalarType};
 use crate::store::model::{SLOT_POSITION, SLOT_SCAN, Slot, StoredAttribute};
 use std::sync::Arc;
@@ -90,6 +90,7 @@ impl Part<'_> {
                 plan.columns.iter().map(|asked| if none { None } else { column(asked.id) }).collect()
             })
             .collect();
+        self.want(found.iter().filter(|f| !f.mask.is_none()).map(|f| f.block));
         let is_ready = |i: usize| found.iter().zip(&ready).all(|(f, ready)| f.mask.is_none() || ready[i].is_some());
         let missing = plan.columns.iter().enumerate().filter(|(i, _)| !is_ready(*i)).map(|(_, asked)| asked.id);
         self.read(plan.with_scans.then_some(SLOT_SCAN).into_iter().chain(missing))?;
@@ -154,16 +155,23 @@ impl Part<'_> {
                 BlockScans::Each(each) => batch.scans.extend(indices.iter().map(|&i| each[i as usize])),
             }
         }
+        let count = indices_or(all, &indices, mask);
         for (((asked, chunk), ready), out) in plan.columns.iter().zip(columns).zip(ready).zip(&mut batch.columns) {
             let decoded = match (ready, chunk) {
                 (Some(column), _) => column,
                 (None, None) => {
-                    out.resize(out.len() + indices_or(all, &indices, mask));
+                    out.resize(out.len() + count);
                     continue;
                 }
                 // Straight to where it belongs.
-                (None, Some(chunk)) if all && !plan.keeps_blocks => {
-                    chunk.decode_block(decoder, *block, out).map_err(|e| self.damaged(asked.id, &e))?;
+                (None, Some(chunk)) if !plan.keeps_blocks => {
+                    if !chunk.repeat(count, out) {
+                        let start = out.len();
+                        chunk.decode_block(decoder, *block, out).map_err(|e| self.damaged(asked.id, &e))?;
+                        if !all {
+                            out.keep_after(start, &indices);
+                        }
+                    }
                     Meter::add(&plan.meter.blocks, 1);
                     continue;
                 }
@@ -186,8 +194,8 @@ impl Part<'_> {
             let found = self.find(look)?;
             return self.take(&found);
         }
-        self.read([SLOT_POSITION])?;
-        if self.positions()?.blocks().iter().all(look.skips) {
+        self.read_positions(look.skips)?;
+        if self.wants_nothing() {
             return Ok(Batch::empty(plan.attributes.clone()));
         }
         let scans = (plan.with_scans || plan.scans.is_some()).then_some(SLOT_SCAN);
@@ -216,6 +224,9 @@ impl Part<'_> {
 
     /// The points at `indices`, ascending, or all, with the attributes asked for.
     pub fn gather(&mut self, indices: Option<&[u32]>) -> Result<Batch, QueryError> {
+        if let Some(indices) = indices {
+            self.want(indices.iter().map(|&i| i as usize / BLOCK_POINTS));
+        }
         self.read([SLOT_POSITION])?;
         let found = self.plan.meter.time(Stage::Decoding, || {
             DECODER.with_borrow_mut(|decoder| {

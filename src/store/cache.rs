@@ -99,6 +99,11 @@ impl Caches {
         }
     }
 
+    /// Are rows kept at all?
+    pub fn keeps_rows(&self) -> bool {
+        self.rows.is_some()
+    }
+
     pub fn row(&self, chunk: i64) -> Option<Arc<Vec<u8>>> {
         let found = self.rows.as_ref()?.get(&chunk);
         count(found.is_some(), &self.row_hits, &self.row_misses);

@@ -308,8 +308,7 @@ pub(super) fn describe<K: SortKey>(
 fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chunks: &mut Vec<ChunkRow>) {
     let (layer, cube) = (head.layer, head.cube);
     let points = head.parts[part].points;
-    let row =
-        |id: i64, slot: Slot, bytes: Vec<u8>| ChunkRow { id, layer, cube, part: part as u32, slot, points, bytes };
+    let row = |id: i64, slot: Slot, bytes: Vec<u8>| ChunkRow::new(id, (layer, cube), part as u32, slot, points, bytes);
     let mut small = Vec::new();
     for (slot, bytes) in pieces {
         if bytes.len() < PACKED_BELOW_BYTES {

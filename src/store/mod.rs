@@ -58,7 +58,7 @@ pub use info::{Info, info};
 pub use nodes::{Children, Node, Nodes};
 pub use place::Limits;
 pub use rows::{ChunkRow, pack};
-pub use snapshot::{ChunkBytes, ReadCost, Snapshot};
+pub use snapshot::{ChunkBytes, ReadCost, Snapshot, WantedBlocks};
 pub use summary::{Summary, merge_subtree};
 pub use verify::{Finding, Report, verify};
 pub use writer::{ChunkIds, Committed, Leftovers, Writer};

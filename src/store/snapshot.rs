@@ -8,7 +8,8 @@ use super::leaders;
 use super::model::{NodeHead, SLOT_PACKED, Scan, ScanId, Site, Slot, StoredAttribute, Zones};
 use super::nodes::{Nodes, Pages};
 use super::place::{Limits, Place, lock};
-use super::rows::{self, RowName, SiteRow};
+use super::rows::{self, ReadChunk, RowName, SiteRow};
+use crate::codec::BLOCK_POINTS;
 use rusqlite::Connection;
 use std::ops::{AddAssign, Deref, Range};
 use std::sync::{Arc, OnceLock};
@@ -68,6 +69,15 @@ impl AddAssign for ReadCost {
 pub struct ChunkBytes {
     row: Arc<Vec<u8>>,
     range: Range<usize>,
+    /// The blocks that are there; `None`: all.
+    blocks: Option<Arc<[bool]>>,
+}
+
+impl ChunkBytes {
+    /// Is a block there? One that is not can't be decoded.
+    pub fn has(&self, block: usize) -> bool {
+        self.blocks.as_ref().is_none_or(|blocks| blocks.get(block).copied().unwrap_or(false))
+    }
 }
 
 impl Deref for ChunkBytes {
@@ -196,23 +206,50 @@ impl Snapshot {
         slots: &[Slot],
         cost: &mut ReadCost,
     ) -> Result<Vec<Option<ChunkBytes>>, StoreError> {
+        self.read_blocks(head, part, slots, None, cost)
+    }
+
+    /// The same of some blocks, unless rows are kept: `wanted` is asked for each row that has several, by its slot, with bytes
+    /// of which the blocks are not there yet, and says which it wants (`None`: all).
+    ///
+    /// # Errors
+    ///
+    /// As [`Snapshot::read_part`]; blocks that are not wanted may be damaged.
+    pub fn read_blocks(
+        &self,
+        head: &NodeHead,
+        part: usize,
+        slots: &[Slot],
+        mut wanted: Option<&mut WantedBlocks<'_>>,
+        cost: &mut ReadCost,
+    ) -> Result<Vec<Option<ChunkBytes>>, StoreError> {
         #[cfg(test)]
         lock(&self.inner.reads).extend(slots.iter().map(|&slot| (head.layer, head.cube.node_key(), slot)));
         let place = &*self.inner.place;
-        let row = |slot: Slot, bytes: u32, cost: &mut ReadCost| {
+        let caches = place.caches();
+        // What is kept may be asked for other blocks next time.
+        let is_cut = !caches.keeps_rows() && head.parts.get(part).is_some_and(|p| p.points as usize > BLOCK_POINTS);
+        let mut row = |slot: Slot, bytes: u32| {
             let name = RowName { head, part, slot };
             let id = head.chunk_id(part, slot);
-            if let Some(row) = place.caches().row(id) {
+            if let Some(row) = caches.row(id) {
                 cost.cached += 1;
-                return Ok(row);
+                return Ok((row, None));
             }
-            let row = Arc::new(self.inner.with(|c| rows::read_chunk(c, name, bytes))?);
+            let read = self.inner.with(|c| match &mut wanted {
+                Some(wanted) if is_cut => rows::read_blocks(c, name, bytes, &mut |bytes| wanted(slot, bytes)),
+                _ => rows::read_chunk(c, name, bytes),
+            });
+            let ReadChunk { bytes, blocks, read } = read?;
+            let row = Arc::new(bytes);
             cost.rows += 1;
-            cost.bytes += row.len() as u64;
-            place.caches().keep_row(id, &row);
-            Ok(row)
+            cost.bytes += read as u64;
+            if blocks.is_none() {
+                caches.keep_row(id, &row);
+            }
+            Ok((row, blocks.map(Arc::from)))
         };
-        read_part(place, head, part, slots, |slot, bytes| row(slot, bytes, cost))
+        read_part(place, head, part, slots, &mut row)
     }
 
     /// A decoded block of a column that an earlier query has kept.
@@ -267,13 +304,19 @@ fn whole_index(connection: &Connection, site: &SiteRow) -> Result<NodeIndex, Row
     damage.into_iter().next().map_or(Ok(index), Err)
 }
 
+/// The bytes of a row, and which blocks of it are there; `None`: all.
+type Row = (Arc<Vec<u8>>, Option<Arc<[bool]>>);
+
+/// Says which blocks of a row are wanted: see [`Snapshot::read_blocks`].
+pub type WantedBlocks<'w> = dyn FnMut(Slot, &[u8]) -> Option<Vec<bool>> + 'w;
+
 /// See [`Snapshot::read_part`]; `row` gives a row of the part.
 fn read_part(
     place: &Place,
     head: &NodeHead,
     part: usize,
     slots: &[Slot],
-    mut row: impl FnMut(Slot, u32) -> Result<Arc<Vec<u8>>, StoreError>,
+    row: &mut dyn FnMut(Slot, u32) -> Result<Row, StoreError>,
 ) -> Result<Vec<Option<ChunkBytes>>, StoreError> {
     let packed_damage = |what: &str| place.error(RowName { head, part, slot: SLOT_PACKED }.damage(what));
     let facts = head.parts.get(part).ok_or_else(|| packed_damage("the node has no such part"))?;
@@ -281,22 +324,23 @@ fn read_part(
     let mut columns = Vec::with_capacity(slots.len());
     for &slot in slots {
         if let Ok(i) = facts.chunks.binary_search_by_key(&slot, |c| c.0) {
-            let row = row(slot, facts.chunks[i].1)?;
-            columns.push(Some(ChunkBytes { range: 0..row.len(), row }));
+            let (row, blocks) = row(slot, facts.chunks[i].1)?;
+            columns.push(Some(ChunkBytes { range: 0..row.len(), row, blocks }));
         } else if facts.packed.binary_search_by_key(&slot, |c| c.0).is_ok() {
-            let (row, directory) = match &packed {
+            let (row, blocks, directory) = match &packed {
                 Some(packed) => packed,
                 None => {
-                    let row = row(SLOT_PACKED, facts.packed_bytes)?;
+                    let (row, blocks) = row(SLOT_PACKED, facts.packed_bytes)?;
                     let directory = rows::unpack(&row).map_err(|what| packed_damage(&what))?;
                     if !directory.iter().map(|d| (d.0, d.1.len() as u32)).eq(facts.packed.iter().copied()) {
                         return Err(packed_damage("the columns are not those of the node's row"));
                     }
-                    packed.insert((row, directory))
+                    packed.insert((row, blocks, directory))
                 }
             };
             let found = directory.binary_search_by_key(&slot, |d| d.0).ok();
-            columns.push(found.map(|i| ChunkBytes { row: row.clone(), range: directory[i].1.clone() }));
+            let range = |i: usize| directory[i].1.clone();
+            columns.push(found.map(|i| ChunkBytes { row: row.clone(), range: range(i), blocks: blocks.clone() }));
         } else {
             columns.push(None);
         }

@@ -115,7 +115,7 @@ fn the_log_stays_bounded_under_a_reader() {
     for part in 0..480_u32 {
         let bytes = vec![part as u8; 1 << 20];
         let id = base + i64::from(part) * model::SLOT_STRIDE;
-        writer.put_chunks(&[ChunkRow { id, layer: 0, cube, part, slot: 0, points: 1, bytes }]).unwrap();
+        writer.put_chunks(&[ChunkRow::new(id, (0, cube), part, 0, 1, bytes)]).unwrap();
         largest = largest.max(wal_bytes(&path));
     }
     // 480 MiB were written.
@@ -369,15 +369,8 @@ fn a_log_is_applied_to_its_own_file_in_its_own_state_and_to_no_other() {
     };
     let rows = |writer: &mut Writer| {
         for part in 0..40 {
-            let row = ChunkRow {
-                id: writer.chunk_ids().reserve(1),
-                layer: 0,
-                cube: elsewhere(),
-                part,
-                slot: 0,
-                points: 1,
-                bytes: vec![7; 1 << 19],
-            };
+            let id = writer.chunk_ids().reserve(1);
+            let row = ChunkRow::new(id, (0, elsewhere()), part, 0, 1, vec![7; 1 << 19]);
             writer.put_chunks(&[row]).unwrap();
         }
     };
@@ -478,14 +471,8 @@ fn a_transaction_that_is_larger_than_the_cache_is_in_nobodys_way() {
     let mut writer = store.writer().unwrap();
     writer.expect_many().unwrap();
     // A byte less than ends it. Pages that left the cache before that would lock readers out until the end.
-    let row = |bytes: usize, writer: &Writer| ChunkRow {
-        id: writer.chunk_ids().reserve(1),
-        layer: 0,
-        cube: elsewhere(),
-        part: 0,
-        slot: 0,
-        points: 1,
-        bytes: vec![7; bytes],
+    let row = |bytes: usize, writer: &Writer| {
+        ChunkRow::new(writer.chunk_ids().reserve(1), (0, elsewhere()), 0, 0, 1, vec![7; bytes])
     };
     for i in 0..16 {
         let row = row((1 << 20) - usize::from(i == 0), &writer);
@@ -573,15 +560,7 @@ fn a_full_disk_leaves_the_store_as_it_was() {
         let mut writer = store.writer().unwrap();
         let change = prepare(&mut writer, some_points(if at_flip { 900 } else { 0 }), before.scans());
         writer.limit_pages(before.with(|c| Ok(c.query_row("PRAGMA page_count", [], |r| r.get(0))?)).unwrap());
-        let row = ChunkRow {
-            id: writer.chunk_ids().reserve(1),
-            layer: 0,
-            cube: elsewhere(),
-            part: 0,
-            slot: 0,
-            points: 1,
-            bytes: vec![7; 1 << 20],
-        };
+        let row = ChunkRow::new(writer.chunk_ids().reserve(1), (0, elsewhere()), 0, 0, 1, vec![7; 1 << 20]);
         let error = if at_flip { writer.commit(change).unwrap_err() } else { writer.put_chunks(&[row]).unwrap_err() };
         assert!(matches!(error, StoreError::Full { .. }), "{error}");
         if !at_flip {

@@ -49,9 +49,17 @@ impl LatticeRegion {
         self.kind.contains(point)
     }
 
-    /// The points that are inside.
-    pub(crate) fn test(&self, positions: &Positions) -> Mask {
-        self.kind.test(positions)
+    /// The points that are inside, of some that `bounds` holds.
+    pub(crate) fn test(&self, positions: &Positions, bounds: &LatticeBox) -> Mask {
+        self.kind.test(positions, bounds)
+    }
+
+    /// The box, if it is one.
+    pub(crate) fn as_box(&self) -> Option<&LatticeBox> {
+        match &self.kind {
+            Kind::Box(region) => Some(region),
+            _ => None,
+        }
     }
 }
 
@@ -127,20 +135,26 @@ impl Kind {
         }
     }
 
-    fn test(&self, positions: &Positions) -> Mask {
+    fn test(&self, positions: &Positions, bounds: &LatticeBox) -> Mask {
         let len = positions.len();
         match self {
             Self::Everything => Mask::all(len),
             Self::Nothing => Mask::none(len),
             Self::Box(region) => {
-                let axis = |i: usize, values: &[u64]| {
-                    let (min, span) = (region.min.0[i], region.max.0[i] - region.min.0[i]);
-                    Mask::where_each(values, |v: u64| v.wrapping_sub(min) <= span)
-                };
-                let mut mask = axis(0, &positions.x);
-                mask.and(&axis(1, &positions.y));
-                mask.and(&axis(2, &positions.z));
-                mask
+                let mut mask: Option<Mask> = None;
+                for (axis, values) in [&positions.x, &positions.y, &positions.z].into_iter().enumerate() {
+                    let (min, max) = (region.min.0[axis], region.max.0[axis]);
+                    // Most blocks reach beyond one face only.
+                    if min <= bounds.min.0[axis] && bounds.max.0[axis] <= max {
+                        continue;
+                    }
+                    let within = Mask::where_each(values, |v: u64| v.wrapping_sub(min) <= max - min);
+                    match &mut mask {
+                        None => mask = Some(within),
+                        Some(mask) => mask.and(&within),
+                    }
+                }
+                mask.unwrap_or_else(|| Mask::all(len))
             }
             Self::Sphere(sphere) => Mask::where_index(len, |i| sphere.contains_fast(positions.point(i))),
             Self::Convex(convex) => Mask::where_index(len, |i| convex.contains_fast(positions.point(i))),
@@ -151,7 +165,7 @@ impl Kind {
                     if mask.is_none() {
                         break;
                     }
-                    mask.and(&term.test(positions));
+                    mask.and(&term.test(positions, bounds));
                 }
                 mask
             }
@@ -161,13 +175,13 @@ impl Kind {
                     if mask.is_all() {
                         break;
                     }
-                    mask.or(&term.test(positions));
+                    mask.or(&term.test(positions, bounds));
                 }
                 mask
             }
             Self::Not(inner) => {
                 let mut mask = Mask::all(len);
-                mask.and_not(&inner.test(positions));
+                mask.and_not(&inner.test(positions, bounds));
                 mask
             }
         }

@@ -126,7 +126,13 @@ proptest! {
             let within = |p: LatticePoint| LatticePoint(std::array::from_fn(|i| p.0[i].clamp(bounds.min.0[i], bounds.max.0[i])));
             points.extend((0..20).map(|i| within(points[i % points.len()])).collect::<Vec<_>>());
         }
-        let mask = on.test(&points.iter().copied().collect());
+        let everywhere = points.iter().fold(LatticeBox::of(a), |all, p| all.with(*p));
+        let mask = on.test(&points.iter().copied().collect(), &everywhere);
+        for bounds in &boxes {
+            let inside: Vec<LatticePoint> = points.iter().copied().filter(|p| bounds.contains(*p)).collect();
+            let mask = on.test(&inside.iter().copied().collect(), bounds);
+            prop_assert!(inside.iter().enumerate().all(|(i, &p)| mask.contains(i) == on.contains(p)));
+        }
         let placed = boxes.map(|b| on.classify(&b));
         for (i, &p) in points.iter().enumerate() {
             let naive = naive(&region, &lattice, p);
@@ -162,7 +168,8 @@ fn regions_far_from_the_origin_are_decided_by_the_documented_test() {
     }
     for region in regions {
         let on = region.on_lattice(&lattice).unwrap();
-        let mask = on.test(&points.iter().copied().collect());
+        let bounds = points.iter().fold(LatticeBox::of(points[0]), |all, p| all.with(*p));
+        let mask = on.test(&points.iter().copied().collect(), &bounds);
         assert!(points.iter().enumerate().all(|(i, &p)| mask.contains(i) == on.contains(p)));
         assert!(points.iter().all(|&p| on.contains(p) == naive(&region, &lattice, p)));
         assert!(mask.count() > 3000 && mask.count() < 6500, "{}", mask.count());

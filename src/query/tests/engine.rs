@@ -152,6 +152,77 @@ fn cached_blocks_are_the_ones_that_were_read() {
     assert_eq!(test.points.len(), 60_000);
 }
 
+/// One node with parts of several blocks, and queries that look at few of them.
+fn queries_of_few_blocks() -> (Vec<Point>, Params, Vec<Query>) {
+    let params = Params { g: 7, leaf_capacity: 70_000 };
+    let corner = Region::new_box([-1e9; 3], [-300.0 * QUANTUM, -200.0 * QUANTUM, 1e9]).unwrap();
+    let ball = Region::new_sphere([3400.0, 2400.0, -213.0].map(|c| c * QUANTUM), 200.0 * QUANTUM).unwrap();
+    let all = Query::new().with_scans(true);
+    let queries = vec![
+        all.clone().region(corner.clone()),
+        all.clone().region(ball.clone()),
+        all.clone().region(ball.clone()).filter(Filter::parse("class < 2").unwrap()),
+        all.clone().region(corner).capacity(300),
+        all.region(ball).detail(Detail::Spacing(32.0 * QUANTUM)),
+    ];
+    (surface(60_000), params, queries)
+}
+
+#[test]
+fn of_a_chunk_only_the_blocks_are_read_that_are_looked_at() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.esker");
+    let (points, params, queries) = queries_of_few_blocks();
+    stores::store_at(&path, &[points], params);
+    let once = crate::store::Store::open_with(&path, crate::store::Limits::once()).unwrap().snapshot().unwrap();
+    for query in queries {
+        // A store that keeps rows reads them whole.
+        let whole = crate::store::Store::open(&path).unwrap().snapshot().unwrap();
+        let (expected, of_rows) = query.collect(&whole).unwrap();
+        let (found, of_blocks) = query.collect(&once).unwrap();
+        assert!(found == expected && !found.is_empty(), "{query:?}");
+        let (blocks, rows) = (of_blocks.statistics.bytes_read, of_rows.statistics.bytes_read);
+        // A thinned answer looks around the region, and more than once where nothing is kept.
+        let thinned = query.capacity.is_some() || query.detail != Detail::Everything;
+        assert!(thinned || blocks * 2 < rows, "{blocks} bytes of {rows}: {query:?}");
+    }
+}
+
+#[test]
+fn damage_in_blocks_that_are_read_alone_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.esker");
+    let (points, params, queries) = queries_of_few_blocks();
+    stores::store_at(&path, &[points], params);
+    let ask = |path: &std::path::Path| -> Vec<Result<Batch, QueryError>> {
+        let store = crate::store::Store::open_with(path, crate::store::Limits::once());
+        let snapshot = store.and_then(|store| store.snapshot());
+        let ask = |query: &Query| Ok(query.collect(snapshot.as_ref().map_err(|_| QueryError::Cancelled)?)?.0);
+        queries.iter().map(ask).collect()
+    };
+    let expected: Vec<Batch> = ask(&path).into_iter().map(Result::unwrap).collect();
+    let file = std::fs::read(&path).unwrap();
+    let copy = folder.path().join("copy.esker");
+    let (mut refused, mut right) = (0, 0);
+    let step = file.len() / 150;
+    for i in 0..150 {
+        let mut damaged = file.clone();
+        damaged[i * step + i * 7 % step] ^= 1 << (i % 8);
+        std::fs::write(&copy, &damaged).unwrap();
+        for (found, expected) in ask(&copy).into_iter().zip(&expected) {
+            match found {
+                Ok(found) => {
+                    assert!(found == *expected, "flip {i}");
+                    right += 1;
+                }
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    // Most blocks are not looked at.
+    assert!(refused > 20 && right > 300, "{refused} refused, {right} right");
+}
+
 fn worlds(test: &TestStore, p: &Point) -> [f64; 3] {
     test.lattice.world_from_lattice(p.at())
 }

@@ -1,11 +1,15 @@
 //! Rows of `chunk`, and the packed rows in which small columns lie together.
 
+use super::super::checksum::Checksum;
 use super::super::error::RowError;
-use super::super::model::{NodeHead, SLOT_PACKED, Slot};
+use super::super::model::{NodeHead, SLOT_PACKED, SLOT_POSITION, Slot};
 use super::node::node_name;
-use super::{Put, Sql, Take, Taken, checked, put_row};
+use super::pieces::Pieces;
+use super::{Columns, Put, Sql, Take, Taken, checked};
+use crate::codec::{self, BLOCK_POINTS, Cut};
 use crate::lattice::Cube;
-use rusqlite::Connection;
+use rusqlite::blob::Blob;
+use rusqlite::{Connection, MAIN_DB, params_from_iter};
 use std::ops::Range;
 
 const TABLE: &str = "chunk";
@@ -27,13 +31,44 @@ pub struct ChunkRow {
     pub points: u32,
     /// The encoded column, or what [`pack`] makes.
     pub bytes: Vec<u8>,
+    /// Lengths and checksums of its pieces.
+    pieces: Vec<u8>,
 }
 
 impl ChunkRow {
+    /// Of these bytes, which are cut into pieces where their head says that blocks lie.
+    pub fn new(id: i64, (layer, cube): (u16, Cube), part: u32, slot: Slot, points: u32, bytes: Vec<u8>) -> Self {
+        let pieces = Pieces::of(&bytes, cuts_of(slot, cube, points, &bytes)).to_bytes();
+        Self { id, layer, cube, part, slot, points, bytes, pieces }
+    }
+
     /// The column `codec`: how the bytes are encoded, which is their first byte; 0 for a packed row.
     fn codec(&self) -> u8 {
         if self.slot == SLOT_PACKED { 0 } else { self.bytes.first().copied().unwrap_or(0) }
     }
+}
+
+/// Columns of a packed row that have fewer bytes are not cut into blocks.
+const CUT_FROM_BYTES: usize = 1024;
+
+/// Where the bytes of a row are cut into pieces.
+fn cuts_of(slot: Slot, cube: Cube, points: u32, bytes: &[u8]) -> Vec<Cut> {
+    let mut cuts = Vec::new();
+    if points as usize > BLOCK_POINTS {
+        let columns = match slot {
+            SLOT_PACKED => unpack(bytes).unwrap_or_default(),
+            slot => vec![(slot, 0..bytes.len())],
+        };
+        for (slot, range) in columns.into_iter().filter(|(_, range)| range.len() >= CUT_FROM_BYTES) {
+            let cube = (slot == SLOT_POSITION).then_some(cube);
+            let of_column = codec::cuts(&bytes[range.clone()], cube, points as usize).unwrap_or_default();
+            cuts.push(Cut { end: range.start, block: None });
+            cuts.extend(of_column.into_iter().map(|cut| Cut { end: range.start + cut.end, ..cut }));
+        }
+        cuts.retain(|cut| cut.end > 0);
+    }
+    cuts.push(Cut { end: bytes.len(), block: None });
+    cuts
 }
 
 /// Which row is meant: of a node, a part and a column.
@@ -63,54 +98,158 @@ impl RowName<'_> {
 
 pub(in crate::store) fn put_chunk(connection: &Connection, chunk: &ChunkRow) -> Result<(), RowError> {
     let key = chunk.cube.node_key();
-    put_row(
-        connection,
-        TABLE,
-        "INSERT INTO chunk (id, layer, key, part, slot, points, codec, bytes, checksum) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-        &[
-            Sql::Int(chunk.id),
-            Sql::Int(chunk.layer.into()),
-            Sql::Blob(&key.0),
-            Sql::Int(chunk.part.into()),
-            Sql::Int(chunk.slot.into()),
-            Sql::Int(chunk.points.into()),
-            Sql::Int(chunk.codec().into()),
-            Sql::Blob(&chunk.bytes),
-        ],
-    )
+    let values = [
+        Sql::Int(chunk.id),
+        Sql::Int(chunk.layer.into()),
+        Sql::Blob(&key.0),
+        Sql::Int(chunk.part.into()),
+        Sql::Int(chunk.slot.into()),
+        Sql::Int(chunk.points.into()),
+        Sql::Int(chunk.codec().into()),
+        Sql::Blob(&chunk.pieces),
+    ];
+    let checksum = Sql::Int(Checksum::of_row(TABLE, values.iter().map(Sql::value)).to_sql());
+    let insert = "INSERT INTO chunk (id, layer, key, part, slot, points, codec, pieces, checksum, bytes) \
+                  VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+    let all = values.into_iter().chain([checksum, Sql::Blob(&chunk.bytes)]);
+    connection.prepare_cached(insert)?.execute(params_from_iter(all))?;
+    Ok(())
 }
+
+/// What was read of a row.
+pub(in crate::store) struct ReadChunk {
+    /// As long as the row's bytes; what was not read is [`UNREAD`].
+    pub bytes: Vec<u8>,
+    /// The blocks that were read; `None`: all.
+    pub blocks: Option<Vec<bool>>,
+    /// How many bytes were read.
+    pub read: usize,
+}
+
+/// Stands for bytes that were not read: no block of any kind begins so.
+const UNREAD: u8 = 0xff;
+
+/// Says which blocks are wanted of a chunk whose bytes are given, of which only the head is there; `None`: all.
+type Wanted<'w> = dyn FnMut(&[u8]) -> Option<Vec<bool>> + 'w;
 
 /// The bytes of the row that is named, which must be there, be whole, and be what its node's row says.
 pub(in crate::store) fn read_chunk(
     connection: &Connection,
     name: RowName<'_>,
     expected_bytes: u32,
-) -> Result<Vec<u8>, RowError> {
-    let head = name.head;
-    let mut statement = connection
-        .prepare_cached("SELECT id, layer, key, part, slot, points, codec, bytes, checksum FROM chunk WHERE id = ?")?;
-    let mut rows = statement.query([head.chunk_id(name.part, name.slot)])?;
+) -> Result<ReadChunk, RowError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT id, layer, key, part, slot, points, codec, pieces, checksum, bytes FROM chunk WHERE id = ?",
+    )?;
+    let mut rows = statement.query([name.id()])?;
     let row = rows.next()?.ok_or_else(|| name.damage("the row is missing"))?;
     let columns = checked(TABLE, row, 9, || name.text())?;
-    let points = head.parts.get(name.part).map_or(0, |p| p.points);
-    let same = columns.int::<i64>(0)? == head.chunk_id(name.part, name.slot)
-        && columns.int::<i64>(1)? == i64::from(head.layer)
-        && columns.blob(2)? == head.cube.node_key().0
-        && columns.int::<i64>(3)? == name.part as i64
-        && columns.int::<i64>(4)? == i64::from(name.slot)
-        && columns.int::<i64>(5)? == i64::from(points);
-    if !same {
-        return Err(name.damage("the row is whole but belongs elsewhere"));
+    let bytes = row.get_ref(9)?.as_blob().map_err(|_| name.damage("has no bytes"))?;
+    let pieces = name.pieces(&columns, bytes.len() as u64, expected_bytes)?;
+    (0..pieces.len()).try_for_each(|piece| name.check(&pieces, piece, &bytes[pieces.range(piece)]))?;
+    name.check_codec(&columns, bytes)?;
+    if !pieces.are_cut(cuts_of(name.slot, name.head.cube, columns.int(5)?, bytes)) {
+        return Err(name.damage("its pieces are not its blocks"));
     }
-    let bytes = columns.blob(7)?;
-    if bytes.len() as u64 != u64::from(expected_bytes) {
-        return Err(name.damage(format!("has {} bytes, but the node's row says {expected_bytes}", bytes.len())));
+    Ok(ReadChunk { bytes: bytes.to_vec(), blocks: None, read: bytes.len() })
+}
+
+/// The same of the blocks that are wanted alone, if it has several.
+pub(in crate::store) fn read_blocks(
+    connection: &Connection,
+    name: RowName<'_>,
+    expected_bytes: u32,
+    wanted: &mut Wanted<'_>,
+) -> Result<ReadChunk, RowError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT id, layer, key, part, slot, points, codec, pieces, checksum, length(bytes) FROM chunk WHERE id = ?",
+    )?;
+    let mut rows = statement.query([name.id()])?;
+    let row = rows.next()?.ok_or_else(|| name.damage("the row is missing"))?;
+    let columns = checked(TABLE, row, 9, || name.text())?;
+    let length = row.get_ref(9)?.as_i64().ok().and_then(|n| u64::try_from(n).ok());
+    let pieces = name.pieces(&columns, length.unwrap_or(0), expected_bytes)?;
+    let blob = connection.blob_open(MAIN_DB, TABLE, "bytes", name.id(), true)?;
+    let mut read = ReadChunk { bytes: vec![UNREAD; pieces.total()], blocks: None, read: 0 };
+    read.pieces(name, &blob, &pieces, |block| block.is_none())?;
+    name.check_codec(&columns, &read.bytes)?;
+    if (0..pieces.len()).any(|piece| pieces.block(piece).is_some()) {
+        read.blocks = wanted(&read.bytes).filter(|blocks| blocks.contains(&false));
+        let blocks = read.blocks.clone();
+        let is_wanted = |block: usize| blocks.as_ref().is_none_or(|blocks| blocks.get(block).copied().unwrap_or(false));
+        read.pieces(name, &blob, &pieces, |block| block.is_some_and(is_wanted))?;
     }
-    if name.slot != SLOT_PACKED && bytes.first().copied() != Some(columns.int(6)?) {
-        return Err(name.damage("the codec is not the first byte"));
+    Ok(read)
+}
+
+impl ReadChunk {
+    /// Reads and checks the pieces of the blocks that are wanted, those side by side at once.
+    fn pieces(
+        &mut self,
+        name: RowName<'_>,
+        blob: &Blob<'_>,
+        pieces: &Pieces,
+        wanted: impl Fn(Option<usize>) -> bool,
+    ) -> Result<(), RowError> {
+        let mut next = 0;
+        while let Some(first) = (next..pieces.len()).find(|&piece| wanted(pieces.block(piece))) {
+            next = (first..pieces.len()).find(|&piece| !wanted(pieces.block(piece))).unwrap_or(pieces.len());
+            let run = pieces.range(first).start..pieces.range(next - 1).end;
+            blob.read_at_exact(&mut self.bytes[run.clone()], run.start)?;
+            self.read += run.len();
+            (first..next).try_for_each(|piece| name.check(pieces, piece, &self.bytes[pieces.range(piece)]))?;
+        }
+        Ok(())
     }
-    Ok(bytes.to_vec())
+}
+
+impl RowName<'_> {
+    fn id(&self) -> i64 {
+        self.head.chunk_id(self.part, self.slot)
+    }
+
+    /// The pieces of the row with these columns, which must be the one that is named and have so many bytes.
+    fn pieces<K: Fn() -> String>(
+        &self,
+        columns: &Columns<'_, K>,
+        bytes: u64,
+        expected_bytes: u32,
+    ) -> Result<Pieces, RowError> {
+        let head = self.head;
+        let points = head.parts.get(self.part).map_or(0, |p| p.points);
+        let same = columns.int::<i64>(0)? == self.id()
+            && columns.int::<i64>(1)? == i64::from(head.layer)
+            && columns.blob(2)? == head.cube.node_key().0
+            && columns.int::<i64>(3)? == self.part as i64
+            && columns.int::<i64>(4)? == i64::from(self.slot)
+            && columns.int::<i64>(5)? == i64::from(points);
+        if !same {
+            return Err(self.damage("the row is whole but belongs elsewhere"));
+        }
+        if bytes != u64::from(expected_bytes) {
+            return Err(self.damage(format!("has {bytes} bytes, but the node's row says {expected_bytes}")));
+        }
+        let pieces = Pieces::parse(columns.blob(7)?).map_err(|what| self.damage(format!("its pieces: {what}")))?;
+        if pieces.total() as u64 != bytes {
+            return Err(self.damage(format!("has {bytes} bytes, but its pieces have {}", pieces.total())));
+        }
+        Ok(pieces)
+    }
+
+    fn check(&self, pieces: &Pieces, piece: usize, bytes: &[u8]) -> Result<(), RowError> {
+        if pieces.is_whole(piece, bytes) {
+            return Ok(());
+        }
+        let range = pieces.range(piece);
+        Err(self.damage(format!("the checksum of bytes {} to {} is not theirs", range.start, range.end)))
+    }
+
+    fn check_codec<K: Fn() -> String>(&self, columns: &Columns<'_, K>, bytes: &[u8]) -> Result<(), RowError> {
+        if self.slot != SLOT_PACKED && bytes.first().copied() != Some(columns.int(6)?) {
+            return Err(self.damage("the codec is not the first byte"));
+        }
+        Ok(())
+    }
 }
 
 /// The ranges of ids that wait to be removed, both ends inside, ascending.

@@ -109,9 +109,14 @@ mod tests {
         assert_eq!(count("2M"), Ok(2_000_000));
         assert_eq!(count("1.5k"), Ok(1500));
         assert!(count("1.5").is_err() && count("-1").is_err());
-        assert_eq!(pixels("1280x720"), Ok([1280, 720]));
-        assert!(pixels("0x10").is_err() && pixels("10").is_err());
         assert_eq!(per_axis("0.01"), Ok([0.01; 3]));
         assert!(per_axis("1,2").is_err());
+    }
+
+    #[cfg(feature = "render")]
+    #[test]
+    fn sizes_of_pictures_are_checked() {
+        assert_eq!(pixels("1280x720"), Ok([1280, 720]));
+        assert!(pixels("0x10").is_err() && pixels("10").is_err());
     }
 }

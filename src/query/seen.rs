@@ -19,7 +19,7 @@ use std::cmp::Reverse;
 const VIEW_WINDOW: usize = 16;
 
 /// So many points that do not match are remembered; of more their parts are looked at again.
-const MOST_MISSED: usize = if cfg!(test) { 500 } else { 1 << 20 };
+const MOST_MISSED: usize = if cfg!(test) { 8 } else { 1 << 20 };
 
 /// What a camera needs.
 pub(crate) fn view(

@@ -45,6 +45,12 @@ pub(super) enum Purpose {
 
 /// Opens the file, without looking at what it holds.
 fn open_raw(path: &Path, purpose: Purpose) -> Result<Connection, RowError> {
+    let connection = connect(path, purpose)?;
+    prepare(&connection, purpose)?;
+    Ok(connection)
+}
+
+fn connect(path: &Path, purpose: Purpose) -> Result<Connection, RowError> {
     let parameters = match purpose {
         Purpose::Read | Purpose::Write => "mode=rw",
         Purpose::Immutable => "mode=ro&immutable=1",
@@ -54,9 +60,7 @@ fn open_raw(path: &Path, purpose: Purpose) -> Result<Connection, RowError> {
         Purpose::Immutable => OpenFlags::SQLITE_OPEN_READ_ONLY,
     } | OpenFlags::SQLITE_OPEN_URI
         | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let connection = Connection::open_with_flags(uri(path, parameters), flags)?;
-    prepare(&connection, purpose)?;
-    Ok(connection)
+    Ok(Connection::open_with_flags(uri(path, parameters), flags)?)
 }
 
 fn prepare(connection: &Connection, purpose: Purpose) -> Result<(), RowError> {
@@ -189,8 +193,10 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Purpose, Connection), Sto
 /// Reads the site's row once without the log and once with it, and applies nothing.
 fn check_wal(path: &Path) -> Result<(), StoreError> {
     let site = |purpose| {
-        let connection = open_raw(path, purpose)?;
+        let connection = connect(path, purpose)?;
+        // First of all: what comes next may fail on what the log says.
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        prepare(&connection, purpose)?;
         load_site(&connection)
     };
     let mut before = None;

@@ -410,6 +410,18 @@ fn a_log_is_applied_to_its_own_file_in_its_own_state_and_to_no_other() {
         assert_eq!(generation(&path).unwrap(), expected);
         assert_eq!(verified(&Store::open(&path).unwrap(), true).findings, []);
     }
+    // A log that leaves of the file no more than a schema: hardly anything can be read with it.
+    let other = path.with_file_name("empty.esker");
+    drop(Store::create(&other, options()).unwrap());
+    at_rest(&other);
+    let foreign = Connection::open(&other).unwrap();
+    foreign.execute_batch("UPDATE site SET generation = generation + 1").unwrap();
+    std::thread::sleep(Duration::from_millis(150));
+    std::fs::write(&path, &copy).unwrap();
+    std::fs::copy(wal(&other), wal(&path)).unwrap();
+    drop(foreign);
+    assert!(matches!(generation(&path), Err(StoreError::ForeignWal { .. })));
+    assert_eq!(std::fs::read(&path).unwrap(), copy);
     // What is no store's: its pages are not rows of the site.
     let other = path.with_file_name("other.db");
     let foreign = Connection::open(&other).unwrap();
@@ -418,6 +430,7 @@ fn a_log_is_applied_to_its_own_file_in_its_own_state_and_to_no_other() {
             "PRAGMA page_size = 2048; PRAGMA journal_mode = WAL; CREATE TABLE t (a); INSERT INTO t VALUES (1)",
         )
         .unwrap();
+    std::thread::sleep(Duration::from_millis(150));
     std::fs::write(&path, &copy).unwrap();
     std::fs::copy(wal(&other), wal(&path)).unwrap();
     assert!(matches!(generation(&path), Err(StoreError::ForeignWal { .. })));

@@ -32,7 +32,7 @@ mod _esker {
     use pyo3::prelude::*;
 
     #[pymodule_init]
-    fn init(_: &Bound<'_, PyModule>) -> PyResult<()> {
+    fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
         let lacks = esker::processor::lacks();
         lacks.map_or(Ok(()), |lacks| Err(pyo3::exceptions::PyImportError::new_err(lacks)))
     }

@@ -21,6 +21,8 @@ mod lanes;
 mod leaders;
 mod lock;
 mod log;
+#[cfg(test)]
+mod log_tests;
 pub mod model;
 mod nodes;
 #[cfg(test)]

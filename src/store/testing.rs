@@ -10,6 +10,7 @@ use crate::points::{Attribute, Column, ScalarType};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 
 /// The hashes of a store.
 pub fn digested(store: &Store) -> Digest {
@@ -38,6 +39,13 @@ fn record(p: &Point) -> Vec<u8> {
 }
 
 pub const PARAMS: Params = Params { g: 2, leaf_capacity: 40 };
+
+/// Where a store can be made, under a name with every special character of a URI; the folder goes when it is dropped.
+pub fn folder() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a store?#%.esker");
+    (folder, path)
+}
 
 pub fn options() -> SiteOptions {
     SiteOptions {

@@ -6,7 +6,7 @@
 use super::dictionary::{self, MAX_VALUES};
 use super::joint::{self, Leaders};
 use super::lines;
-use super::numbers::{self, Numbers, largest_above};
+use super::numbers::{self, Numbers, largest_above, largest_byte};
 use super::passes::{BesideBlock, BlockPasses};
 use super::ranked;
 use super::reader::{Reader, put_uint, put_varint};
@@ -377,7 +377,11 @@ pub(super) fn read_block<T: Value>(
         Kind::Ranked => ranked::read(decoder, reader, count)?,
         Kind::Joint => {
             let Decoder { streams, bytes, values, .. } = decoder;
-            joint::read(streams, reader, count, leaders, bytes, values)?;
+            if let Numbers::Bytes(numbers) = joint::read(streams, reader, count, leaders, bytes, values)? {
+                check(&[largest_byte(numbers)])?;
+                T::append_stepped(numbers, least, step, out);
+                return Ok(());
+            }
         }
         _ => {
             let (positions, block) = beside.ok_or(CodecError::NoPositions)?;

@@ -5,7 +5,7 @@
 //! `(rates . what the leaders' values are more than at the point before) + 2^23 >> 24`; before the first point all are 0.
 
 use super::CodecError;
-use super::numbers::{unzigzag, unzigzag_byte, zigzag, zigzag_byte};
+use super::numbers::{Numbers, add_up_bytes, unzigzag, unzigzag_byte, zigzag, zigzag_byte};
 use super::reader::{Reader, put_varint};
 use super::residual::{SAMPLE, plan, plan_all, put_residuals, read_residuals, sample};
 use super::stream::{StreamReader, StreamWriter};
@@ -182,15 +182,15 @@ pub(super) fn put<N: Copy + Into<u64>>(
     }
 }
 
-/// Reads `count` numbers, up to the end of the block, into `out`, whose content is replaced; `bytes` is for its use.
-pub(super) fn read(
+/// Reads `count` numbers, up to the end of the block, into one of the buffers.
+pub(super) fn read<'a>(
     streams: &mut StreamReader,
     mut reader: Reader,
     count: usize,
     leaders: Leaders,
-    bytes: &mut Vec<u8>,
-    out: &mut Vec<u64>,
-) -> Result<(), CodecError> {
+    bytes: &'a mut Vec<u8>,
+    wide: &'a mut Vec<u64>,
+) -> Result<Numbers<'a>, CodecError> {
     const LEADERS: &str = "columns that are followed";
     const WAY: &str = "way of residuals";
     let found = reader.u8(LEADERS)?;
@@ -210,23 +210,19 @@ pub(super) fn read(
         streams.read(&mut reader, count, bytes)?;
         reader.end("bytes after the residuals")?;
         add_expected_bytes(bytes, leaders, rates);
-        let mut number = 0_u8;
-        out.clear();
-        out.extend(bytes.iter().map(|more| {
-            number = number.wrapping_add(*more);
-            u64::from(number)
-        }));
+        add_up_bytes(bytes);
+        Ok(Numbers::Bytes(bytes))
     } else if way == Way::Wide as u8 {
-        read_residuals(streams, reader, count, u64::BITS, out)?;
+        read_residuals(streams, reader, count, u64::BITS, wide)?;
         let mut number = 0_u64;
-        for (value, step) in out.iter_mut().zip(steps(leaders)) {
+        for (value, step) in wide.iter_mut().zip(steps(leaders)) {
             number = number.wrapping_add(unzigzag(*value)).wrapping_add(expected(rates, step) as u64);
             *value = number;
         }
+        Ok(Numbers::Wide(wide))
     } else {
-        return Err(CodecError::Range { place: WAY, found: way.into(), limit: Way::Wide as u64 });
+        Err(CodecError::Range { place: WAY, found: way.into(), limit: Way::Wide as u64 })
     }
-    Ok(())
 }
 
 /// Residuals as bytes to what each number is more than the one before it, modulo 256. Apart from their sum, so that the
@@ -270,7 +266,11 @@ mod tests {
             put(&mut StreamWriter::default(), &numbers, leaders, choice, most < 256, (&mut bytes, &mut wide), &mut out);
             let mut read = |leaders| {
                 let (mut streams, mut back) = (StreamReader::default(), vec![1]);
-                read(&mut streams, Reader::new(&out), count, leaders, &mut bytes, &mut back).map(|()| back)
+                let numbers = read(&mut streams, Reader::new(&out), count, leaders, &mut bytes, &mut back)?;
+                Ok(match numbers {
+                    Numbers::Bytes(bytes) => bytes.iter().map(|n| u64::from(*n)).collect(),
+                    Numbers::Wide(wide) => wide.to_vec(),
+                })
             };
             prop_assert_eq!(read(leaders).unwrap(), numbers);
             prop_assert_eq!(read([None; 2]), Err(CodecError::NoLeader));
@@ -291,19 +291,12 @@ mod tests {
     fn one_or_two_are_followed_in_steps_of_their_own() {
         let leaders: Leaders = [Some(&[1; 4]), Some(&[2; 4])];
         for found in [0, 3] {
-            let error = read(
-                &mut StreamReader::default(),
-                Reader::new(&[found, 0, 0, 0, 0]),
-                4,
-                leaders,
-                &mut vec![],
-                &mut vec![],
-            );
+            let (mut bytes, mut wide) = (Vec::new(), Vec::new());
+            let reader = Reader::new(&[found, 0, 0, 0, 0]);
+            let error = read(&mut StreamReader::default(), reader, 4, leaders, &mut bytes, &mut wide);
             let limit = MAX_LEADERS as u64;
-            assert_eq!(
-                error,
-                Err(CodecError::Range { place: "columns that are followed", found: found.into(), limit })
-            );
+            let place = "columns that are followed";
+            assert_eq!(error.unwrap_err(), CodecError::Range { place, found: found.into(), limit });
         }
         let choice = Choice { rates: [1, 0], leaders: 1, step: 2 };
         assert_eq!([1, 2].map(|step| choice.fits(step)), [false, true]);

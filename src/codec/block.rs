@@ -3,7 +3,7 @@
 //! The first byte says how the rest is to be read: [`Kind`]. All but the first two kinds store
 //! `n = (value - least) / step`, for values as integers in the order of the values.
 
-use super::dictionary::{self, MAX_VALUES};
+use super::dictionary;
 use super::joint::{self, Leaders};
 use super::lines;
 use super::numbers::{self, Numbers, largest_above, largest_byte};
@@ -368,10 +368,9 @@ pub(super) fn read_block<T: Value>(
         }
         Kind::Dictionary => {
             let Decoder { streams, bytes: indices, .. } = decoder;
-            let table = dictionary::read(streams, reader, count, leaders[0], indices)?;
+            let (table, len) = dictionary::read(streams, reader, count, leaders[0], indices)?;
             check(&table)?;
-            let table = table.map(|n| T::from_ordered(least + step * n));
-            out.extend(indices.iter().map(|index| table[usize::from(*index) % MAX_VALUES]));
+            dictionary::append_values(&table.map(|n| T::from_ordered(least + step * n)), len, indices, out);
             return Ok(());
         }
         Kind::Ranked => ranked::read(decoder, reader, count)?,

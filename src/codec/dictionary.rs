@@ -8,6 +8,7 @@ use super::CodecError;
 use super::reader::{Reader, put_varint};
 use super::stream::{StreamReader, StreamWriter};
 use super::symbols::{FEW_SYMBOLS, run_of};
+use super::value::Value;
 
 /// How indices are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -261,14 +262,14 @@ fn unpack<const N: usize>(packed: &[u8], indices: &mut [u8]) {
 }
 
 /// Reads a table, and `count` indices into it, up to the end of the block, into `indices`, whose content is replaced. Where
-/// no index leads the table is 0.
+/// no index leads the table is 0; how many it has comes with it.
 pub(super) fn read(
     streams: &mut StreamReader,
     mut reader: Reader,
     count: usize,
     followed: Option<&[u16]>,
     indices: &mut Vec<u8>,
-) -> Result<[u64; MAX_VALUES], CodecError> {
+) -> Result<([u64; MAX_VALUES], usize), CodecError> {
     const TABLE: &str = "table of values";
     let len = usize::from(reader.u8(TABLE)?) + 1;
     if !(1..=MAX_VALUES).contains(&len) {
@@ -283,8 +284,37 @@ pub(super) fn read(
         *value = before;
     }
     read_indices(streams, reader, len, count, followed, indices)?;
-    Ok(table)
+    Ok((table, len))
 }
+
+/// Appends the value of each index below `len`.
+pub(super) fn append_values<T: Value>(table: &[T; MAX_VALUES], len: usize, indices: &[u8], out: &mut Vec<T>) {
+    let one_by_one = |indices: &[u8], out: &mut Vec<T>| {
+        out.extend(indices.iter().map(|index| table[usize::from(*index) % MAX_VALUES]));
+    };
+    if len * size_of::<T>() > QUICK_BYTES {
+        return one_by_one(indices, out);
+    }
+    // If values are few, one of them after the other for many points at a time is quicker than point after point.
+    let (many, rest) = indices.as_chunks::<AT_ONCE>();
+    out.reserve(indices.len());
+    for indices in many {
+        let mut values = [table[0]; AT_ONCE];
+        for (index, value) in (1..).zip(table[1..len].iter().copied()) {
+            for (out, i) in values.iter_mut().zip(indices) {
+                *out = if *i == index { value } else { *out };
+            }
+        }
+        out.extend_from_slice(&values);
+    }
+    one_by_one(rest, out);
+}
+
+/// Bytes of a table of few values.
+const QUICK_BYTES: usize = 8;
+
+/// Points that are looked up at a time.
+const AT_ONCE: usize = 32;
 
 #[cfg(test)]
 mod tests {
@@ -326,8 +356,10 @@ mod tests {
                 put(&mut StreamWriter::default(), &found, &mut same, Some(&followed), &mut bytes);
                 let (mut streams, mut back) = (StreamReader::default(), Vec::new());
                 let mut read = |followed: Option<&[u16]>| {
-                    let table = read(&mut streams, Reader::new(&bytes), values.len(), followed, &mut back)?;
-                    Ok::<Vec<_>, CodecError>(back.iter().map(|i| table[usize::from(*i)]).collect())
+                    let (table, len) = read(&mut streams, Reader::new(&bytes), values.len(), followed, &mut back)?;
+                    let mut values = vec![7];
+                    append_values(&table, len, &back, &mut values);
+                    Ok::<Vec<u64>, CodecError>(values.split_off(1))
                 };
                 prop_assert_eq!(&read(Some(&followed)).unwrap(), &values);
                 for followed in [None, Some(&followed[1..])] {
@@ -338,8 +370,13 @@ mod tests {
             }
             let mut bytes = Vec::new();
             put(&mut StreamWriter::default(), &found, &mut indices, None, &mut bytes);
-            let table = read(&mut StreamReader::default(), Reader::new(&bytes), values.len(), None, &mut indices).unwrap();
-            prop_assert_eq!(indices.iter().map(|i| table[usize::from(*i)]).collect::<Vec<_>>(), values);
+            let read = read(&mut StreamReader::default(), Reader::new(&bytes), values.len(), None, &mut indices);
+            let (table, len) = read.unwrap();
+            prop_assert_eq!(indices.iter().map(|i| table[usize::from(*i)]).collect::<Vec<_>>(), values.clone());
+            // Values of a byte, of which more are few.
+            let (mut narrow, bytes) = (Vec::new(), table.map(|n| n as u8));
+            append_values(&bytes, len, &indices, &mut narrow);
+            prop_assert_eq!(narrow, values.iter().map(|n| *n as u8).collect::<Vec<_>>());
         }
     }
 

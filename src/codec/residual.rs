@@ -227,6 +227,9 @@ pub(super) fn read_residuals(
     result
 }
 
+/// A value of which no more bits are open has at most 56 bits.
+const NARROW_TAIL: u32 = 47;
+
 /// Symbols and open bits to values.
 fn unsplit(
     symbols: &[u8],
@@ -235,24 +238,38 @@ fn unsplit(
     bits: &mut Vec<u8>,
     out: &mut Vec<u64>,
 ) -> Result<(), CodecError> {
-    out.clear();
     let largest = symbols.iter().copied().max().unwrap_or(0);
     let widest = tail_checked(largest, mantissa, max_bits)?;
     let found = bits.len();
     bits.resize(found + PADDING, 0);
+    let bits = &bits[..];
     let mut at = 0;
+    // What is there is overwritten; most blocks have one length.
+    out.resize(symbols.len(), 0);
+    let points = out.iter_mut().zip(symbols);
     if widest == 0 {
-        out.extend(symbols.iter().map(|s| u64::from(*s)));
+        points.for_each(|(out, symbol)| *out = u64::from(*symbol));
+    } else if widest <= NARROW_TAIL {
+        // The least value and the open bits in one number, so that a point takes one look.
+        let mut joined = [0; 256];
+        for (joined, symbol) in joined.iter_mut().zip(0..=largest) {
+            let (base, tail) = join(symbol, mantissa);
+            *joined = base << 8 | u64::from(tail);
+        }
+        for (out, symbol) in points {
+            let joined = joined[usize::from(*symbol)];
+            let tail = joined as u8;
+            *out = joined >> 8 | bits_or_zeros(bits, at, tail.into());
+            at += usize::from(tail);
+        }
     } else {
         let mut joined = [(0, 0); 256];
         joined.iter_mut().zip(0..=largest).for_each(|(joined, symbol)| *joined = join(symbol, mantissa));
-        let wide = widest > MAX_BITS;
-        out.extend(symbols.iter().map(|symbol| {
+        for (out, symbol) in points {
             let (base, tail) = joined[usize::from(*symbol)];
-            let open = if wide { wide_bits_or_zeros(bits, at, tail) } else { bits_or_zeros(bits, at, tail) };
+            *out = base | wide_bits_or_zeros(bits, at, tail);
             at += tail as usize;
-            base | open
-        }));
+        }
     }
     // At most 64 bits for each of a block's values.
     let expected = at.div_ceil(8);

@@ -32,7 +32,8 @@ pub(super) struct Survey {
     pub(super) differing: u64,
 }
 
-/// What is done with all values of a block, in the type's own width, so that the compiler may take many at once.
+/// What is done with all values of a block, in the type's own width, so that the compiler may take many at once. For that,
+/// closures own what they need: what they borrow might change with every value that is appended, as far as it can tell.
 macro_rules! of_blocks {
     ($u:ty) => {
         fn all_same(values: &[Self]) -> bool {
@@ -44,24 +45,24 @@ macro_rules! of_blocks {
 
         fn append_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u64>) {
             let (least, inverse) = (least as $u, inverse as $u);
-            let steps = |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
-            out.extend(values.iter().map(|v| u64::from(steps(v))));
+            let steps = move |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
+            out.extend(values.iter().map(move |v| u64::from(steps(v))));
         }
 
         fn append_few_steps(values: &[Self], least: u64, zeros: u32, inverse: u64, out: &mut Vec<u8>) {
             let (least, inverse) = (least as $u, inverse as $u);
             if inverse == 1 && zeros == 0 {
-                out.extend(values.iter().map(|v| (v.ordered() as $u).wrapping_sub(least) as u8));
+                out.extend(values.iter().map(move |v| (v.ordered() as $u).wrapping_sub(least) as u8));
             } else {
-                let steps = |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
-                out.extend(values.iter().map(|v| steps(v) as u8));
+                let steps = move |v: &Self| ((v.ordered() as $u).wrapping_sub(least) >> zeros).wrapping_mul(inverse);
+                out.extend(values.iter().map(move |v| steps(v) as u8));
             }
         }
 
         fn append_stepped<N: Copy + Into<u64>>(numbers: &[N], least: u64, step: u64, out: &mut Vec<Self>) {
             let (least, step) = (least as $u, step as $u);
-            let ordered = |n: &N| least.wrapping_add(step.wrapping_mul((*n).into() as $u));
-            out.extend(numbers.iter().map(|n| Self::from_ordered(u64::from(ordered(n)))));
+            let ordered = move |n: &N| least.wrapping_add(step.wrapping_mul((*n).into() as $u));
+            out.extend(numbers.iter().map(move |n| Self::from_ordered(u64::from(ordered(n)))));
         }
 
         fn survey(values: &[Self]) -> Survey {

@@ -292,7 +292,8 @@ mod tests {
         let leaders: Leaders = [Some(&[1; 4]), Some(&[2; 4])];
         for found in [0, 3] {
             let (mut bytes, mut wide) = (Vec::new(), Vec::new());
-            let reader = Reader::new(&[found, 0, 0, 0, 0]);
+            let head = [found, 0, 0, 0, 0];
+            let reader = Reader::new(&head);
             let error = read(&mut StreamReader::default(), reader, 4, leaders, &mut bytes, &mut wide);
             let limit = MAX_LEADERS as u64;
             let place = "columns that are followed";

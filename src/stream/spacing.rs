@@ -12,6 +12,8 @@ use std::collections::HashMap;
 
 /// Cubes of a node in which its points are counted: those of its octants' octants.
 const FINE: usize = 64;
+/// The octants of those: which of the node's points lie in the fine cubes of a child.
+const FINEST: usize = 8 * FINE;
 /// Fewer points than these say nothing of how close they lie: they are taken to lie as those around them do.
 const LEAST_POINTS: u32 = 16;
 /// A cell of the size that is looked for has so many points on the mean.
@@ -21,14 +23,18 @@ const REACH: f64 = 1.25;
 /// Cubes beside each other that differ by less are drawn alike.
 const ALIKE: f64 = 1.25;
 
-/// How close points lie in the 64 cubes of a node, in points per area of a lattice step's square; 0 where there are none,
-/// or nothing is known.
+/// How close points lie in the 64 cubes of a node.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Densities([f32; FINE]);
+pub struct Densities {
+    /// Points per area of a lattice step's square; 0 where there are none, or nothing is known.
+    densities: [f32; FINE],
+    /// Points in each of the 512 cubes, 255 if there are more.
+    counts: [u8; FINEST],
+}
 
 impl Default for Densities {
     fn default() -> Self {
-        Self([0.0; FINE])
+        Self { densities: [0.0; FINE], counts: [0; FINEST] }
     }
 }
 
@@ -85,7 +91,7 @@ struct Count {
 impl Count {
     fn end_fine(&mut self, at: usize) {
         match self.fine.density().filter(|_| self.fine.points >= LEAST_POINTS) {
-            Some(density) => self.densities.0[at] = density,
+            Some(density) => self.densities.densities[at] = density,
             None => self.left_to_octant.push(at),
         }
         self.octant.add(&std::mem::take(&mut self.fine));
@@ -93,7 +99,7 @@ impl Count {
 
     fn end_octant(&mut self) {
         match self.octant.density().filter(|_| self.octant.points >= LEAST_POINTS) {
-            Some(density) => self.left_to_octant.drain(..).for_each(|at| self.densities.0[at] = density),
+            Some(density) => self.left_to_octant.drain(..).for_each(|at| self.densities.densities[at] = density),
             None => self.left_to_node.append(&mut self.left_to_octant),
         }
         self.node.add(&std::mem::take(&mut self.octant));
@@ -114,7 +120,7 @@ impl Count {
 
     fn end(mut self) -> Densities {
         if let Some(density) = self.node.density() {
-            self.left_to_node.iter().for_each(|&at| self.densities.0[at] = density);
+            self.left_to_node.iter().for_each(|&at| self.densities.densities[at] = density);
         }
         self.densities
     }
@@ -124,44 +130,52 @@ impl Densities {
     /// Of points in `cube`, given in key order.
     pub fn of(cube: Cube, positions: &Positions) -> Self {
         let Some(first) = positions.iter().next() else { return Self::default() };
-        // Neighbours that differ in no higher bit lie in one of the fine cubes.
-        let fine_bits = u32::from(cube.k().saturating_sub(2));
+        // Neighbours that differ in no higher bit lie in one of the finest cubes.
+        let finest_bits = u32::from(cube.k().saturating_sub(3));
         let mut count = Count::default();
-        let mut at = fine_place(cube, first);
+        let mut at = finest_place(cube, first);
+        let (mut begin, mut counts) = (0, [0; FINEST]);
         count.fine.points = 1;
         for i in 1..positions.len() {
             let differ = |c: &[u64]| c[i] ^ c[i - 1];
             let differing = differ(&positions.x) | differ(&positions.y) | differ(&positions.z);
             let bits = (u64::BITS - differing.leading_zeros()).min(u32::from(BITS));
-            let pairs = if bits <= fine_bits {
+            let pairs = if bits <= finest_bits {
                 &mut count.fine
             } else {
                 let before = at;
-                at = fine_place(cube, LatticePoint([positions.x[i], positions.y[i], positions.z[i]]));
-                count.between(before, at)
+                at = finest_place(cube, LatticePoint([positions.x[i], positions.y[i], positions.z[i]]));
+                counts[before] += i - begin;
+                begin = i;
+                count.between(before >> 3, at >> 3)
             };
             pairs.by_bits[bits as usize] += 1;
             count.fine.points += 1;
         }
-        count.end_fine(at);
+        counts[at] += positions.len() - begin;
+        count.end_fine(at >> 3);
         count.end_octant();
-        count.end()
+        let mut all = count.end();
+        all.counts = counts.map(|n| n.min(u8::MAX.into()) as u8);
+        all
     }
 
     /// Adds those of other points in the same cube, of which a `share` is drawn.
     fn add(&mut self, other: &Self, share: f32) {
-        self.0.iter_mut().zip(&other.0).for_each(|(a, b)| *a += b * share);
+        self.densities.iter_mut().zip(&other.densities).for_each(|(a, b)| *a += b * share);
+        let drawn = |count: u8| (f32::from(count) * share).round() as u8;
+        self.counts.iter_mut().zip(other.counts).for_each(|(a, b)| *a = a.saturating_add(drawn(b)));
     }
 }
 
-/// Which of the 64 cubes holds the point: its octant, then the octant of that.
-fn fine_place(cube: Cube, point: LatticePoint) -> usize {
+/// Which of the 512 cubes holds the point: its octant, then the octant of that, then of that.
+fn finest_place(cube: Cube, point: LatticePoint) -> usize {
     let bits = |below: u8| {
         // A cube of one step has no octants: all its points are in the first.
         let Some(shift) = cube.k().checked_sub(below) else { return 0 };
         (0..3).fold(0, |octant, i| octant | ((point.0[i] >> shift & 1) as usize) << i)
     };
-    bits(1) << 3 | bits(2)
+    bits(1) << 6 | bits(2) << 3 | bits(3)
 }
 
 /// Gives every node of a list, and the cubes in it where that differs, the distance at which its points lie: `parts` has
@@ -184,20 +198,27 @@ pub fn set_spacings<'d>(list: &mut DrawList, parts: impl IntoIterator<Item = (u3
             cubes[place].1.add(densities, share);
         }
     }
-    let drawn = |cube: Cube| places.get(&cube).map(|&place| &cubes[place].1.0);
+    let drawn = |cube: Cube| places.get(&cube).map(|&place| &cubes[place].1);
     let quantum = list.lattice.largest_quantum();
     let spacing = |density: f32| REACH * quantum / f64::from(density).sqrt();
     list.patches.clear();
     for (at, node) in (0_u32..).zip(&mut list.nodes) {
         let cube = node.cube;
-        let (own, parent) = (&cubes[place_of[at as usize]].1.0, drawn(cube.parent()).filter(|_| cube.k() < BITS));
+        let (own, parent) = (&cubes[place_of[at as usize]].1, drawn(cube.parent()).filter(|_| cube.k() < BITS));
         // The parent has counted in this one's octants, and the one above that in all of this one.
         let above = cube.parent().parent();
-        let far = drawn(above).filter(|_| above.k() == cube.k() + 2).map_or(0.0, |d| d[fine_place(above, cube.low())]);
-        let near = |octant: usize| parent.map_or(0.0, |d| d[usize::from(cube.octant()) << 3 | octant]);
-        let seen = |fine: usize| own[fine] + near(fine >> 3);
-        let total: [Option<f64>; FINE] =
+        let far = drawn(above)
+            .filter(|_| above.k() == cube.k() + 2)
+            .map_or(0.0, |d| d.densities[finest_place(above, cube.low()) >> 3]);
+        let in_parent = usize::from(cube.octant());
+        let near = |octant: usize| parent.map_or(0.0, |d| d.densities[in_parent << 3 | octant]);
+        let seen = |fine: usize| own.densities[fine] + near(fine >> 3);
+        let mut total: [Option<f64>; FINE] =
             std::array::from_fn(|fine| (seen(fine) > 0.0).then(|| spacing(seen(fine) + far)));
+        as_around(&mut total, |fine| {
+            let points: u32 = own.counts[fine << 3..][..8].iter().map(|n| u32::from(*n)).sum();
+            points + parent.map_or(0, |d| d.counts[in_parent << 6 | fine].into())
+        });
         let Some(whole) = mean(&total) else { continue };
         node.spacing = whole;
         for octant in 0..8_u8 {
@@ -214,6 +235,20 @@ pub fn set_spacings<'d>(list: &mut DrawList, parts: impl IntoIterator<Item = (u3
             list.patches.push(Patch { node: at, cube: child, spacing });
             list.patches.extend(inside.into_iter().map(|(cube, spacing)| Patch { node: at, cube, spacing }));
         }
+    }
+}
+
+/// Cubes of too few points, which `points` tells, are drawn no coarser than those around them: than the mean of their octant,
+/// or of all, as far as there are enough points. What is counted there is how wide a field is that a stray lies in.
+fn as_around(spacings: &mut [Option<f64>; FINE], points: impl Fn(usize) -> u32) {
+    let mut known = *spacings;
+    known.iter_mut().enumerate().filter(|(fine, _)| points(*fine) < LEAST_POINTS).for_each(|(_, s)| *s = None);
+    let all = mean(&known);
+    for (octant, known) in spacings.chunks_mut(8).zip(known.chunks(8)) {
+        let Some(around) = mean(known).or(all) else { return };
+        octant.iter_mut().zip(known).filter(|(_, known)| known.is_none()).for_each(|(spacing, _)| {
+            *spacing = spacing.map(|spacing| spacing.min(around));
+        });
     }
 }
 
@@ -305,6 +340,25 @@ mod tests {
     }
 
     #[test]
+    fn a_stray_of_the_node_above_is_drawn_like_what_is_around_it_and_a_thin_field_like_a_field() {
+        let parent = Cube::containing(LatticePoint([0; 3]), 12);
+        let child = parent.child(0).unwrap();
+        // The child has a dense corner; the parent has a field beside it, thinly, or one point of it.
+        let corner = Densities::of(child, &positions(floor([0, 0], [512, 512], 8)));
+        let field = floor([1024, 0], [2048, 2048], 128);
+        let far: Vec<_> = floor([2048, 0], [4096, 4096], 128);
+        let drawn = |here: &[[u64; 3]]| {
+            let above = Densities::of(parent, &positions([here, &far].concat()));
+            let mut list = list(&[parent, child]);
+            set_spacings(&mut list, [(0, &above, 1.0), (1, &corner, 1.0)]);
+            spacing_at(&list, [1100, 1100, 5])
+        };
+        let (field, stray) = (drawn(&field), drawn(&[[1100, 1100, 5]]));
+        assert!(is_near(field, 128.0), "{field}");
+        assert!(is_near(stray, 8.0), "{stray}");
+    }
+
+    #[test]
     fn points_on_one_place_are_as_close_as_can_be() {
         for k in [0, 1, 12, BITS] {
             let cube = Cube::containing(LatticePoint([9; 3]), k);
@@ -314,7 +368,7 @@ mod tests {
             assert!(list.nodes[0].spacing < 0.01, "{k}: {}", list.nodes[0].spacing);
         }
         let empty = Densities::of(Cube::containing(LatticePoint([9; 3]), 7), &positions(vec![[9; 3], [10; 3]]));
-        assert_eq!(empty, Densities::default(), "two points say nothing");
+        assert_eq!(empty.densities, [0.0; FINE], "two points say nothing");
     }
 
     /// As [`Pairs::density`], from the cells themselves.
@@ -348,16 +402,20 @@ mod tests {
             }
             let found = Densities::of(cube, &positions(points.clone()));
             let inside = |shift: u32, place: usize| -> Vec<[u64; 3]> {
-                let there = |p: &&[u64; 3]| fine_place(cube, LatticePoint(**p)) >> shift == place;
+                let there = |p: &&[u64; 3]| finest_place(cube, LatticePoint(**p)) >> (3 + shift) == place;
                 points.iter().filter(there).copied().collect()
             };
+            for (finest, count) in found.counts.iter().enumerate() {
+                let here = |p: &&[u64; 3]| finest_place(cube, LatticePoint(**p)) == finest;
+                prop_assert_eq!(usize::from(*count), points.iter().filter(here).count().min(255));
+            }
             for fine in 0..FINE {
                 // Itself if it has enough points, else its octant, else its node, which may have few.
                 let near = [inside(0, fine), inside(3, fine >> 3)].into_iter();
                 let near = near.map(|p| if p.len() < LEAST_POINTS as usize { None } else { density_of(&p) });
                 let expected = near.flatten().next().or_else(|| density_of(&points)).unwrap_or(0.0);
                 let expected = if inside(0, fine).is_empty() { 0.0 } else { expected };
-                prop_assert!((found.0[fine] - expected).abs() <= 1e-4 * expected, "{fine}: {} {expected}", found.0[fine]);
+                prop_assert!((found.densities[fine] - expected).abs() <= 1e-4 * expected, "{fine}: {} {expected}", found.densities[fine]);
             }
         }
     }

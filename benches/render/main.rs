@@ -248,7 +248,7 @@ fn uploaded(
     let (mut next, mut counted) = (0, Vec::new());
     for i in parts {
         let (part, node) = (&wanted.parts[i], place[wanted.parts[i].node as usize]);
-        counted.push((node, &loaded[i].densities, 1.0));
+        counted.push((node, &*loaded[i].densities, 1.0));
         for (chunk, number) in loaded[i].points.chunks(BLOCK_POINTS as usize).zip(0..) {
             pool.write(BlockId(next), chunk)?;
             let (points, first) = (chunk.len() as u32, number * BLOCK_POINTS);

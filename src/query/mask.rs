@@ -1,7 +1,7 @@
 //! Which points of a block: one bit each.
 
 /// A set of points of one block.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Mask {
     words: Vec<u64>,
     len: usize,
@@ -88,6 +88,16 @@ impl Mask {
         self.words[i / 64] >> (i % 64) & 1 == 1
     }
 
+    /// Which of the points `64 * word` to `64 * word + 63` are in the set, from 0, ascending.
+    pub fn indices_of_word(&self, word: usize) -> impl Iterator<Item = usize> + use<> {
+        let mut rest = self.words.get(word).copied().unwrap_or(0);
+        std::iter::from_fn(move || {
+            let next = (rest != 0).then(|| rest.trailing_zeros() as usize);
+            rest &= rest.wrapping_sub(1);
+            next
+        })
+    }
+
     /// The points of the set, ascending.
     pub fn indices(&self) -> Vec<u32> {
         let mut indices = Vec::with_capacity(self.count());
@@ -122,6 +132,8 @@ mod tests {
             prop_assert_eq!(applied(&|m| m.or(&other)), naive(&|x, y| x || y));
             prop_assert_eq!(applied(&|m| m.and_not(&other)), naive(&|x, y| x && !y));
             prop_assert_eq!(mask.count(), mask.indices().len());
+            let of_words = (0..5).flat_map(|word| mask.indices_of_word(word).map(move |i| (word * 64 + i) as u32));
+            prop_assert_eq!(of_words.collect::<Vec<_>>(), mask.indices());
             prop_assert_eq!(mask.is_none(), !a.contains(&true));
             prop_assert_eq!(mask.is_all(), !a.contains(&false));
             prop_assert_eq!(Mask::all(a.len()).count(), a.len());

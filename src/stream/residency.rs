@@ -125,7 +125,7 @@ impl Residency {
         // What was leaving is replaced.
         self.remove(&key);
         let points = points.len() as u32;
-        let densities = Arc::new(loaded.densities.clone());
+        let densities = loaded.densities.clone();
         self.parts.insert(key, Resident { blocks, points, densities, used: self.clock, leaving: false });
         Ok(true)
     }

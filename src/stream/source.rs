@@ -93,7 +93,7 @@ pub struct Loaded {
     /// In even order.
     pub points: Vec<PackedPoint>,
     /// How close they lie.
-    pub densities: Densities,
+    pub densities: Arc<Densities>,
     /// Bytes of chunks that were read.
     pub bytes_read: u64,
 }

@@ -151,7 +151,7 @@ impl StoreContent {
             let mut matching = self.matching.write().unwrap_or_else(PoisonError::into_inner);
             matching.insert(part.id, points.len() as u32);
         }
-        let densities = Densities::of(part.cube, &batch.positions);
+        let densities = Arc::new(Densities::of(part.cube, &batch.positions));
         Ok(Loaded { points, densities, bytes_read: found.bytes_read })
     }
 

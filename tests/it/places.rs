@@ -20,6 +20,37 @@ fn site(folder: &tempfile::TempDir, points: usize) -> (String, Vec<[f64; 3]>) {
     (path("site.esker"), las.positions().into_iter().map(|p| p.map(|c| f64::from(c) / 100.0)).collect())
 }
 
+#[test]
+fn neighbours_of_many_places_are_those_of_brute_force() {
+    let folder = tempfile::tempdir().unwrap();
+    // Several blocks a node; places in no order, many to a group and more than one group, some of them far outside.
+    let (store, points) = site(&folder, 50_000);
+    let mut random = Random(5);
+    let places: Vec<[f64; 3]> = (0..700)
+        .map(|n| {
+            let wide = if n % 10 == 0 { 60_000 } else { 4000 };
+            std::array::from_fn(|i| (random.below([wide, wide, 400][i]) as f64 - 800.0) / 100.0)
+        })
+        .collect();
+    let text: String = places.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+    let list = folder.path().join("places.txt");
+    fs::write(&list, text).unwrap();
+    let found = esker_ok(&["nearest", &store, "--places", list.to_str().unwrap(), "-k", "3", "--attributes", "none"]);
+    let rows = table(&found);
+    assert_eq!(rows.len(), 3 * places.len());
+    for (n, (place, rows)) in places.iter().zip(rows.chunks(3)).enumerate() {
+        let square = |p: &[f64; 3]| (0..3).map(|i| (p[i] - place[i]).powi(2)).sum::<f64>();
+        let mut all: Vec<f64> = points.iter().map(square).collect();
+        all.select_nth_unstable_by(3, f64::total_cmp);
+        all[..3].sort_by(f64::total_cmp);
+        for (row, expected) in rows.iter().zip(&all) {
+            assert_eq!(row[3], n as f64);
+            let found = square(&[row[0], row[1], row[2]]);
+            assert!((found - expected).abs() < 1e-9 && (row[4] - expected.sqrt()).abs() < 1e-9, "{place:?}: {row:?}");
+        }
+    }
+}
+
 /// The lines of a table after the first, as numbers.
 fn table(text: &str) -> Vec<Vec<f64>> {
     text.lines().skip(1).map(|line| line.split(',').map(|v| v.parse().unwrap()).collect()).collect()

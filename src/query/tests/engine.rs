@@ -233,7 +233,7 @@ proptest! {
     #[test]
     fn neighbours_are_those_that_brute_force_finds(
         places in places(120), params in params(), asked in asked(), k in 0_usize..9,
-        near in prop::collection::vec(prop::array::uniform3(-30_i32..300), 1..4), radius in prop::option::of(0.0..40.0),
+        near in prop::collection::vec(prop::array::uniform3(-30_i32..300), 1..30), radius in prop::option::of(0.0..40.0),
     ) {
         let test = store(&[numbered(places)], params, None);
         prop_assume!(!test.points.is_empty());

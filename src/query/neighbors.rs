@@ -1,0 +1,265 @@
+//! The search for the neighbours of one place.
+//!
+//! Distances are in f64 between world coordinates, `(dx * dx + dy * dy) + dz * dz`. What lies beyond the last neighbour that
+//! was found is told in lattice steps, a little wider than it need be, so that of nodes, blocks and runs no coordinates are
+//! made; the order in which these are looked at is by rounded distances and decides nothing but the time.
+
+use super::QueryError;
+use super::answer::Meter;
+use super::cells::Pick;
+use super::near::{Near, NearBlock, RUN};
+use super::plan::{Plan, Prospect, Scope};
+use crate::codec::BLOCK_POINTS;
+use crate::geometry::Containment;
+use crate::lattice::{BIAS, Decimal, Key, LatticeBox, LatticePoint};
+use crate::store::Node;
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
+
+/// A neighbour; the order is by distance, then by position (the order of the points' keys), then by place in the store.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Candidate {
+    pub square: f64,
+    pub pick: Pick,
+}
+
+impl Eq for Candidate {}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.square.total_cmp(&other.square).then(self.pick.cmp(&other.pick))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// What is done with a node: its children come before its own points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Step {
+    Children,
+    Own,
+}
+
+/// A node that may hold neighbours.
+struct Waiting {
+    square: f64,
+    step: Step,
+    node: Node,
+}
+
+impl Waiting {
+    /// Near ones first. Of those around the place the small ones, which have the nearest points.
+    fn order(&self) -> (Step, u8) {
+        (self.step, self.node.cube.k())
+    }
+}
+
+impl Ord for Waiting {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.square.total_cmp(&other.square).then_with(|| self.order().cmp(&other.order()))
+    }
+}
+
+impl PartialOrd for Waiting {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Waiting {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Waiting {}
+
+/// Indices on each axis outside of which a point is farther away than the last neighbour; both ends inside.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    low: [u64; 3],
+    high: [u64; 3],
+}
+
+impl Window {
+    fn meets(&self, bounds: &LatticeBox) -> bool {
+        (0..3).all(|axis| bounds.min.0[axis] <= self.high[axis] && bounds.max.0[axis] >= self.low[axis])
+    }
+
+    fn contains(&self, at: LatticePoint) -> bool {
+        (0..3).all(|axis| (self.low[axis]..=self.high[axis]).contains(&at.0[axis]))
+    }
+}
+
+/// A place, and what is looked for around it.
+pub(super) struct Search<'a> {
+    plan: &'a Plan,
+    point: [f64; 3],
+    k: usize,
+    /// The square of the radius.
+    farthest: f64,
+    quantum: [f64; 3],
+    phase: [f64; 3],
+    found: BinaryHeap<Candidate>,
+    window: Window,
+}
+
+impl<'a> Search<'a> {
+    pub fn new(plan: &'a Plan, point: [f64; 3], k: usize, farthest: f64) -> Self {
+        let (quantum, phase) = (plan.lattice.quantum_f64(), plan.lattice.phase().map(Decimal::to_f64));
+        let found = BinaryHeap::with_capacity(k.min(1 << 16) + 1);
+        let window = Window { low: [0; 3], high: [u64::MAX; 3] };
+        let mut search = Self { plan, point, k, farthest, quantum, phase, found, window };
+        search.narrow();
+        search
+    }
+
+    /// Where the place is, in lattice steps.
+    pub fn at(&self) -> LatticePoint {
+        LatticePoint(std::array::from_fn(|axis| self.index(axis, self.point[axis])))
+    }
+
+    /// Nearest first.
+    pub fn run(mut self, near: &mut Near<'_>) -> Result<Vec<Candidate>, QueryError> {
+        let plan = self.plan;
+        let mut open: BinaryHeap<Reverse<Waiting>> = BinaryHeap::new();
+        let mut visited = 0;
+        if self.k > 0 {
+            near.make_room();
+            self.wait(plan.roots.iter().cloned(), &mut open);
+        }
+        while let Some(Reverse(Waiting { step, node, .. })) = open.pop() {
+            plan.cancel.check()?;
+            match step {
+                Step::Children => {
+                    visited += 1;
+                    if !self.window.meets(&node.subtree_bounds)
+                        || plan.prospect(&node, Scope::Subtree)? == Prospect::Nothing
+                    {
+                        continue;
+                    }
+                    self.wait(plan.nodes.children(&node)?, &mut open);
+                    if let Some(bounds) = node.own_bounds {
+                        open.push(Reverse(Waiting { square: self.about(&bounds), step: Step::Own, node }));
+                    }
+                }
+                Step::Own => {
+                    let near_enough = node.own_bounds.is_some_and(|bounds| self.window.meets(&bounds));
+                    if near_enough && plan.prospect(&node, Scope::Own)? != Prospect::Nothing {
+                        for part in 0..node.parts.len() {
+                            self.offer_part(&node, part, near)?;
+                        }
+                    }
+                }
+            }
+        }
+        Meter::add(&plan.meter.nodes_visited, visited);
+        Ok(self.found.into_sorted_vec())
+    }
+
+    fn wait(&self, nodes: impl Iterator<Item = Node>, open: &mut BinaryHeap<Reverse<Waiting>>) {
+        open.extend(nodes.filter(|node| self.window.meets(&node.subtree_bounds)).map(|node| {
+            let square = self.about(&node.subtree_bounds);
+            Reverse(Waiting { square, step: Step::Children, node })
+        }));
+    }
+
+    /// Looks at the points of a part, the nearest blocks first.
+    fn offer_part(&mut self, node: &Node, part: usize, near: &mut Near<'_>) -> Result<(), QueryError> {
+        let bounds = near.bounds(node, part)?;
+        let meets = |window: &Window, block: &usize| window.meets(&bounds[*block]);
+        let mut blocks: Vec<usize> = (0..bounds.len()).filter(|block| meets(&self.window, block)).collect();
+        blocks.sort_by(|a, b| self.about(&bounds[*a]).total_cmp(&self.about(&bounds[*b])));
+        for block in blocks {
+            let outside = self.plan.region.classify(&bounds[block]) == Containment::Outside;
+            if !outside && meets(&self.window, &block) {
+                let read = near.block(node, part, block)?;
+                let first = (block * BLOCK_POINTS) as u32;
+                self.offer_block(&read, |key, i| Pick { key, node: node.ix(), part: part as u32, index: first + i });
+            }
+        }
+        Ok(())
+    }
+
+    fn offer_block(&mut self, block: &NearBlock, pick: impl Fn(Key, u32) -> Pick) {
+        // What is nearest first, as long as nothing tells what is near.
+        let first = (self.found.len() < self.k)
+            .then(|| {
+                let squares = block.runs.iter().map(|bounds| self.about(bounds)).enumerate();
+                squares.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(run, _)| run)
+            })
+            .flatten();
+        let rest = (0..block.runs.len()).filter(|run| Some(*run) != first);
+        for run in first.into_iter().chain(rest) {
+            if self.window.meets(&block.runs[run]) {
+                self.offer_run(block, run, &pick);
+            }
+        }
+    }
+
+    fn offer_run(&mut self, block: &NearBlock, run: usize, pick: &impl Fn(Key, u32) -> Pick) {
+        let lattice = &self.plan.lattice;
+        let mut narrower = false;
+        for i in block.mask.indices_of_word(run) {
+            let at = block.positions.point(run * RUN + i);
+            if !self.window.contains(at) {
+                continue;
+            }
+            let [dx, dy, dz]: [f64; 3] =
+                std::array::from_fn(|axis| lattice.world_on_axis(axis, at.0[axis]) - self.point[axis]);
+            let square = (dx * dx + dy * dy) + dz * dz;
+            // What is as far as the last neighbour may come before it.
+            if square <= self.limit() {
+                self.found.push(Candidate { square, pick: pick(Key::of(at), (run * RUN + i) as u32) });
+                if self.found.len() > self.k {
+                    self.found.pop();
+                }
+                narrower |= self.found.len() == self.k;
+            }
+        }
+        if narrower {
+            self.narrow();
+        }
+    }
+
+    /// Nothing beyond can be a neighbour.
+    fn limit(&self) -> f64 {
+        match self.found.peek() {
+            Some(last) if self.found.len() >= self.k => last.square,
+            _ => self.farthest,
+        }
+    }
+
+    /// Fits the window to the limit.
+    fn narrow(&mut self) {
+        let reach = self.limit().sqrt();
+        for axis in 0..3 {
+            let at = self.point[axis];
+            // World coordinates are the nearest f64 to what indices mean: some units in the last place wider.
+            let slack = (reach + at.abs()) * 4e-15 + 2.0 * self.quantum[axis];
+            self.window.low[axis] = self.index(axis, at - reach - slack);
+            self.window.high[axis] = self.index(axis, at + reach + slack);
+        }
+    }
+
+    /// The index of a coordinate, or the first or last there is.
+    fn index(&self, axis: usize, world: f64) -> u64 {
+        // Saturates.
+        let steps = ((world - self.phase[axis]) / self.quantum[axis]) as i64;
+        steps.saturating_add(BIAS).max(0) as u64
+    }
+
+    /// The square of about the distance to a box.
+    fn about(&self, bounds: &LatticeBox) -> f64 {
+        let [dx, dy, dz]: [f64; 3] = std::array::from_fn(|axis| {
+            let at = (self.point[axis] - self.phase[axis]) / self.quantum[axis] + BIAS as f64;
+            let (low, high) = (bounds.min.0[axis] as f64, bounds.max.0[axis] as f64);
+            (low - at).max(at - high).max(0.0) * self.quantum[axis]
+        });
+        dx * dx + dy * dy + dz * dz
+    }
+}

@@ -71,6 +71,10 @@ impl<'a> Near<'a> {
 
     /// A block of a part whose bounds were asked for.
     pub fn block(&mut self, node: &Node, part: usize, block: usize) -> Result<Arc<NearBlock>, QueryError> {
+        if self.blocks >= MOST_BLOCKS {
+            self.parts.values_mut().for_each(|part| part.blocks.fill(None));
+            self.blocks = 0;
+        }
         let Some(known) = self.parts.get_mut(&(node.ix(), part)) else { return Ok(Arc::default()) };
         if let Some(read) = &known.blocks[block] {
             return Ok(read.clone());

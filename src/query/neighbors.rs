@@ -111,9 +111,8 @@ pub(super) struct Search<'a> {
 impl<'a> Search<'a> {
     pub fn new(plan: &'a Plan, point: [f64; 3], k: usize, farthest: f64) -> Self {
         let (quantum, phase) = (plan.lattice.quantum_f64(), plan.lattice.phase().map(Decimal::to_f64));
-        let found = BinaryHeap::with_capacity(k.min(1 << 16) + 1);
         let window = Window { low: [0; 3], high: [u64::MAX; 3] };
-        let mut search = Self { plan, point, k, farthest, quantum, phase, found, window };
+        let mut search = Self { plan, point, k, farthest, quantum, phase, found: BinaryHeap::new(), window };
         search.narrow();
         search
     }
@@ -151,6 +150,7 @@ impl<'a> Search<'a> {
                     let near_enough = node.own_bounds.is_some_and(|bounds| self.window.meets(&bounds));
                     if near_enough && plan.prospect(&node, Scope::Own)? != Prospect::Nothing {
                         for part in 0..node.parts.len() {
+                            plan.cancel.check()?;
                             self.offer_part(&node, part, near)?;
                         }
                     }
@@ -158,7 +158,10 @@ impl<'a> Search<'a> {
             }
         }
         Meter::add(&plan.meter.nodes_visited, visited);
-        Ok(self.found.into_sorted_vec())
+        let mut found = self.found.into_sorted_vec();
+        // It is kept until all places are done, and there may be many.
+        found.shrink_to_fit();
+        Ok(found)
     }
 
     fn wait(&self, nodes: impl Iterator<Item = Node>, open: &mut BinaryHeap<Reverse<Waiting>>) {

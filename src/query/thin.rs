@@ -199,9 +199,18 @@ impl Thinned<'_> {
         if self.plan.roots.len() < 2 {
             return Ok(());
         }
+        // Where the points of each part that was read are in it: made once, since there may be many ties.
+        let indices: Vec<Vec<u32>> = self
+            .sources
+            .iter()
+            .map(|source| match source {
+                Source::Read(reading) => reading.indices().collect(),
+                Source::Above(_) | Source::Filled(_) => Vec::new(),
+            })
+            .collect();
         let mut tied: Vec<(Pick, u32)> = Vec::new();
         for run in order.chunk_by(|a, b| a.0 == b.0).filter(|run| run.len() > 1) {
-            tied.extend(run.iter().map(|&(key, at)| (self.pick(full(key), at), at)));
+            tied.extend(run.iter().map(|&(key, at)| (self.pick(full(key), at, &indices), at)));
         }
         let mut picks: Vec<Pick> = tied.iter().map(|(pick, _)| *pick).collect();
         ties::settle(self.plan, &mut picks)?;
@@ -224,12 +233,13 @@ impl Thinned<'_> {
         (source, (at - self.starts[source]) as usize)
     }
 
-    fn pick(&self, key: Key, at: u32) -> Pick {
+    /// `indices` has those of each source that was read.
+    fn pick(&self, key: Key, at: u32, indices: &[Vec<u32>]) -> Pick {
         let (source, i) = self.place(at);
         match &self.sources[source] {
             Source::Above(picks) | Source::Filled(picks) => picks[i],
             Source::Read(reading) => {
-                let index = reading.indices().nth(i).unwrap_or_default();
+                let index = indices[source].get(i).copied().unwrap_or_default();
                 Pick { key, node: reading.node, part: reading.part, index }
             }
         }

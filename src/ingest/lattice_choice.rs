@@ -89,6 +89,10 @@ fn for_extent(extent: f64) -> Decimal {
 fn common_residue(evidence: &[Evidence], axis: usize, quantum: Decimal) -> Decimal {
     let grids = || evidence.iter().filter_map(|e| e.grid);
     let Some(finest) = grids().map(|g| g.scale[axis]).min() else { return Decimal::ZERO };
+    // On a coarser lattice nothing is exact, and which offset is left would hang on the file.
+    if quantum > finest {
+        return Decimal::ZERO;
+    }
     let mut residues = grids().filter(|g| g.scale[axis] == finest).map(|g| g.offset[axis].checked_rem_euclid(quantum));
     let first = residues.next().flatten().unwrap_or(Decimal::ZERO);
     if residues.all(|r| r == Some(first)) { first } else { Decimal::ZERO }
@@ -121,6 +125,14 @@ mod tests {
         assert_eq!(quantum(&[cloud(99.0)]), 1e-5);
         assert_eq!(quantum(&[cloud(5000.0)]), 1e-3);
         assert_eq!(quantum(&[cloud(1e9)]), 1e-3);
+    }
+
+    #[test]
+    fn a_lattice_that_is_coarser_than_the_files_has_no_phase_of_theirs() {
+        let wish = LatticeWish { quantum: Some([2.0; 3]), ..LatticeWish::default() };
+        let phase = |e: &[Evidence]| choose(e, &wish).unwrap().0.phase()[0].to_f64();
+        assert_eq!(phase(&[las(1.0, 5.0)]), 0.0);
+        assert_eq!(phase(&[las(2.0, 5.0)]), 1.0);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::budget::{default_memory, default_threads};
 use super::{IngestError, Progress};
-use crate::store::{Store, StoreError, Writer};
+use crate::store::{Store, StoreError, Writer, followed};
 use std::path::Path;
 use std::time::Duration;
 
@@ -28,17 +28,19 @@ pub(super) struct Context<'a> {
     pub progress: &'a dyn Progress,
 }
 
-impl<'a> Context<'a> {
+impl Context<'_> {
     /// Runs `work` on a pool of the threads that it may use.
     pub fn run<R: Send>(
-        path: &'a Path,
+        path: &Path,
         resources: &Resources,
-        progress: &'a dyn Progress,
-        work: impl FnOnce(&Self) -> Result<R, IngestError> + Send,
+        progress: &dyn Progress,
+        work: impl FnOnce(&Context<'_>) -> Result<R, IngestError> + Send,
     ) -> Result<R, IngestError> {
         let threads = resources.threads.unwrap_or_else(default_threads).max(1);
         let memory = resources.memory_bytes.unwrap_or_else(default_memory);
-        let context = Self { path, memory, threads, wait: resources.wait, progress };
+        // Temporary files lie beside the store itself.
+        let path = &*followed(path);
+        let context = Context { path, memory, threads, wait: resources.wait, progress };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         pool.map_err(|e| IngestError::Threads(e.to_string()))?.install(|| work(&context))
     }
@@ -53,14 +55,18 @@ impl<'a> Context<'a> {
                         self.progress.say("the store is in use; waiting");
                         told = true;
                     }
-                    if self.progress.cancelled() {
-                        return Err(IngestError::Interrupted);
-                    }
-                    std::thread::sleep(ASK_AGAIN);
+                    self.pause()?;
                 }
                 other => return Ok(other?),
             }
         }
+    }
+
+    /// Waits a little.
+    pub fn pause(&self) -> Result<(), IngestError> {
+        self.go_on()?;
+        std::thread::sleep(ASK_AGAIN);
+        Ok(())
     }
 
     /// Does what can be stopped by a flag that it looks at, and then fails.

@@ -8,7 +8,6 @@ use super::layers::scan_table;
 use super::naming::unique_scan_name;
 use super::partition::RowPlan;
 use super::progress::{Progress, Stage};
-use super::run::{opened, remove_store};
 use super::stored::StoredPoints;
 use crate::lattice::{Cube, Key, LatticeBox};
 use crate::points::Attribute;
@@ -52,16 +51,17 @@ pub fn merge(
 ) -> Result<Merged, IngestError> {
     Context::run(out, resources, progress, |context| {
         let begun = Instant::now();
+        let out = context.path;
         let left = left_by_a_crash(out)?;
         let shards = stores
             .iter()
             .map(|path| Ok(Shard { path: path.clone(), snapshot: Store::open(path)?.snapshot()? }))
             .collect::<Result<Vec<_>, IngestError>>()?;
         let site = agreed(&shards)?;
-        if left {
-            remove_store(out);
+        if let Some(left) = left {
+            left.remove_store();
         }
-        let store = Store::create(
+        let (_, mut writer) = Store::create_with_writer(
             out,
             SiteOptions {
                 lattice: site.lattice.clone(),
@@ -70,30 +70,29 @@ pub fn merge(
                 crs: site.crs.clone(),
             },
         )?;
-        let joined = opened(context, store).and_then(|(_, mut writer)| join(context, &shards, &site, &mut writer));
-        match joined {
+        match join(context, &shards, &site, &mut writer) {
             Ok(merged) => Ok(Merged { seconds: begun.elapsed().as_secs_f64(), ..merged }),
             Err(error) => {
-                remove_store(out);
+                writer.remove_store();
                 Err(error)
             }
         }
     })
 }
 
-/// Is there a store that never had a commit? Anything else that is there is an error.
-fn left_by_a_crash(out: &Path) -> Result<bool, IngestError> {
+/// The writer of a store that never had a commit, if there is one. Anything else that is there is an error.
+fn left_by_a_crash(out: &Path) -> Result<Option<Writer>, IngestError> {
     if !out.exists() || Store::is_unfinished(out) {
-        return Ok(false);
+        return Ok(None);
     }
     let is_new = || {
         let store = Store::open(out).ok()?;
         // Whoever is writing to it holds the lock.
-        let _writer = store.writer().ok()?;
-        Some(store.snapshot().ok()?.generation() == 0)
+        let writer = store.writer().ok()?;
+        (store.snapshot().ok()?.generation() == 0).then_some(writer)
     };
-    if is_new().unwrap_or(false) {
-        return Ok(true);
+    if let Some(writer) = is_new() {
+        return Ok(Some(writer));
     }
     Err(IngestError::OutputThere(out.to_owned()))
 }

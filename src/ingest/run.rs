@@ -13,7 +13,7 @@ use super::sources::{self, Source};
 use super::{IngestError, IngestOptions};
 use crate::lattice::{Decimal, Lattice};
 use crate::points::Crs;
-use crate::store::{SiteOptions, Store, Writer};
+use crate::store::{SiteOptions, Store, StoreError, Writer};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -80,7 +80,14 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
             let (lattice, notes) = choose(&evidence(&sources, &measured), &options.lattice)?;
             report.notes.extend(notes);
             let site = SiteOptions { lattice, g: options.g, leaf_capacity: options.leaf_capacity, crs: crs.clone() };
-            opened(context, Store::create(context.path, site)?)?
+            match Store::create_with_writer(context.path, site) {
+                // Somebody else has come first, and their store is gone on with.
+                Err(StoreError::AlreadyThere { .. } | StoreError::InUse { .. }) if context.wait => {
+                    context.pause()?;
+                    return run(context, inputs, options);
+                }
+                created => created?,
+            }
         }
     };
     if writer.leftovers().chunk_rows + writer.leftovers().spill_files > 0 {
@@ -101,8 +108,8 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
         let added = add(context, &store, &mut writer, &batch, &mut stages, &mut report);
         if added.is_err() && created && report.scans.is_empty() {
             // Nothing was there before and nothing was added: leave no empty store behind.
-            drop((store, writer));
-            remove_store(context.path);
+            drop(store);
+            writer.remove_store();
             return Err(added.err().unwrap_or(IngestError::Interrupted));
         }
         added?;
@@ -158,7 +165,7 @@ fn refuse_another_lattice(options: &IngestOptions, stored: &Lattice) -> Result<(
     })
 }
 
-/// Takes away a store that was created by this run and never got a scan.
+/// Takes away a copy that nobody else knows of.
 pub(super) fn remove_store(path: &Path) {
     for suffix in ["", "-wal", "-shm", "-journal", "-lock"] {
         let mut name = path.as_os_str().to_owned();

@@ -245,8 +245,16 @@ fn is_blank(connection: &Connection) -> Result<bool, RowError> {
 pub(super) fn is_unfinished(path: &Path) -> bool {
     match std::fs::metadata(path) {
         Ok(facts) if facts.is_file() && facts.len() == 0 => true,
-        // Opening it rolls back what was half done.
-        Ok(facts) if facts.is_file() => open_raw(path, Purpose::Read).and_then(|c| is_blank(&c)).unwrap_or(false),
+        // What was cut off has no log, and never had a commit. Looked at without its log and its journal first: those of
+        // another store, applied by opening it, would destroy a whole one.
+        Ok(facts) if facts.is_file() => {
+            let committed = |c: Connection| load_site(&c).map(|row| row.site.generation > 0);
+            if wal_bytes(path) > 0 || open_raw(path, Purpose::Immutable).and_then(committed).unwrap_or(false) {
+                return false;
+            }
+            // Opening it rolls back what was half done.
+            open_raw(path, Purpose::Read).and_then(|c| is_blank(&c)).unwrap_or(false)
+        }
         _ => false,
     }
 }

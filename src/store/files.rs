@@ -1,5 +1,6 @@
 //! The files of a store: its own, and those that may lie beside it.
 
+use std::borrow::Cow;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -11,6 +12,15 @@ pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
     name.push(suffix);
     name.into()
+}
+
+/// The file that a link leads to: a store's log, its journal and its lock lie beside the file itself, whatever it is called.
+pub fn followed(path: &Path) -> Cow<'_, Path> {
+    let is_link = std::fs::symlink_metadata(path).is_ok_and(|facts| facts.is_symlink());
+    match std::fs::canonicalize(path) {
+        Ok(file) if is_link => file.into(),
+        _ => path.into(),
+    }
 }
 
 /// The write-ahead log.
@@ -31,6 +41,13 @@ pub(super) fn journal(path: &Path) -> PathBuf {
 /// Is there a rollback journal?
 pub(super) fn has_journal(path: &Path) -> bool {
     std::fs::metadata(journal(path)).is_ok_and(|m| m.len() > 0)
+}
+
+/// Removes a store, as far as that can be done: what stays is an empty one, which does no harm. The lock is its holder's.
+pub(super) fn remove(path: &Path) {
+    for path in [path.to_path_buf(), wal(path), beside(path, "-shm"), journal(path)] {
+        let _ = std::fs::remove_file(path);
+    }
 }
 
 /// The path of a temporary file of an ingest into this store; `tag` tells several apart. What a crash leaves of such

@@ -3,7 +3,7 @@
 use super::cache::CacheFigures;
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
-use super::files::{beside, journal, wal};
+use super::files::{beside, followed, journal, wal};
 use super::lock::WriterLock;
 use super::log::LogMark;
 use super::model::Site;
@@ -50,7 +50,7 @@ impl Store {
     /// Is this file what remains of a store whose making was cut off? It holds nothing, and [`Store::create`] takes it
     /// over.
     pub fn is_unfinished(path: impl AsRef<Path>) -> bool {
-        connection::is_unfinished(path.as_ref())
+        connection::is_unfinished(&followed(path.as_ref()))
     }
 
     /// Makes an empty store in a file that is not there yet, or holds nothing ([`Store::is_unfinished`]).
@@ -60,7 +60,22 @@ impl Store {
     /// [`StoreError::AlreadyThere`], [`StoreError::InUse`], [`StoreError::ReadOnly`], [`StoreError::Full`],
     /// [`StoreError::Io`].
     pub fn create(path: impl AsRef<Path>, options: SiteOptions) -> Result<Self, StoreError> {
-        let path = path.as_ref();
+        Self::create_locked(path.as_ref(), options).map(|(store, _)| store)
+    }
+
+    /// As [`Store::create`], with the one writer: nobody else can come first.
+    ///
+    /// # Errors
+    ///
+    /// As [`Store::create`].
+    pub fn create_with_writer(path: impl AsRef<Path>, options: SiteOptions) -> Result<(Self, Writer), StoreError> {
+        let (store, lock) = Self::create_locked(path.as_ref(), options)?;
+        let writer = Writer::open_locked(&store.place, Some(lock))?;
+        Ok((store, writer))
+    }
+
+    fn create_locked(path: &Path, options: SiteOptions) -> Result<(Self, WriterLock), StoreError> {
+        let path = &*followed(path);
         let io = |source: std::io::Error| match source.kind() {
             std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
                 StoreError::ReadOnly { path: path.into() }
@@ -74,7 +89,7 @@ impl Store {
         if path.exists() && !Self::is_unfinished(path) {
             return Err(StoreError::AlreadyThere { path: path.into() });
         }
-        let _lock = WriterLock::take(path)?;
+        let lock = WriterLock::take(path)?;
         // Again, now that nobody else can be making one: nothing but an empty file is taken over.
         if Self::is_unfinished(path) {
             std::fs::remove_file(path).map_err(io)?;
@@ -95,7 +110,7 @@ impl Store {
         }
         let made = connection::create(Some(path), |c| put_site(c, &first_row(options)));
         match made {
-            Ok(_) => Self::open(path),
+            Ok(_) => Ok((Self::open(path)?, lock)),
             Err(e) => {
                 let _ = std::fs::remove_file(path);
                 Err(e.at(path))
@@ -119,7 +134,7 @@ impl Store {
     ///
     /// As [`Store::open`].
     pub fn open_with(path: impl AsRef<Path>, limits: Limits) -> Result<Self, StoreError> {
-        let path = path.as_ref();
+        let path = &*followed(path.as_ref());
         let (purpose, connection) = connection::open_for_reading(path)?;
         Ok(Self::at(Place::file(path, purpose, limits, Some(connection))))
     }

@@ -59,9 +59,20 @@ fn begin(connection: &Connection) -> Result<u64, RowError> {
     load_generation(connection)
 }
 
+/// Ends a read transaction.
+fn end(connection: &Connection) {
+    // One that can't be ended ends with its connection.
+    let _ = connection.execute_batch("ROLLBACK");
+}
+
 impl Lanes {
-    /// With one connection, which is in a read transaction that sees `generation`.
+    /// With one connection, which is in a read transaction that sees `generation`. Of generation 0 there is nothing to read,
+    /// so no transaction is held, which would keep a first filling of the store waiting.
     pub fn new(place: Arc<Place>, connection: Connection, generation: u64, renews: bool) -> Arc<Self> {
+        let renews = renews && generation > 0;
+        if generation == 0 {
+            end(&connection);
+        }
         let lane = Lane { connection, since: Instant::now() };
         let lanes = Arc::new(Self {
             place,
@@ -128,7 +139,12 @@ impl Lanes {
         let Some(file) = file(&self.place) else { return Ok(None) };
         let connection = file.connect()?;
         match begin(&connection) {
-            Ok(generation) if generation == self.generation => Ok(Some(Lane { connection, since: Instant::now() })),
+            Ok(generation) if generation == self.generation => {
+                if generation == 0 {
+                    end(&connection);
+                }
+                Ok(Some(Lane { connection, since: Instant::now() }))
+            }
             result => {
                 file.give_back(connection);
                 result.map_err(|e| self.place.error(e))?;

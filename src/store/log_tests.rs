@@ -15,7 +15,9 @@ fn a_new_store_replaces_no_file_and_adopts_no_log() {
     let mut writer = store.writer().unwrap();
     let change = prepare(&mut writer, some_points(300), &[]);
     // A reader that began before keeps the log from being emptied.
-    let held = store.snapshot().unwrap();
+    let held = Connection::open(&path).unwrap();
+    held.execute_batch("BEGIN").unwrap();
+    assert_eq!(held.query_row("SELECT generation FROM site", [], |row| row.get::<_, i64>(0)), Ok(0));
     writer.commit(change).unwrap();
     let log = std::fs::read(wal(&path)).unwrap();
     assert!(!log.is_empty());
@@ -32,6 +34,7 @@ fn a_new_store_replaces_no_file_and_adopts_no_log() {
     std::fs::write(wal(&path), &log).unwrap();
     let before = std::fs::read(&path).unwrap();
     assert!(matches!(Store::open(&path), Err(StoreError::ForeignWal { .. })));
+    assert!(!Store::is_unfinished(&path));
     assert_eq!(std::fs::read(&path).unwrap(), before);
 }
 

@@ -52,6 +52,7 @@ pub use describe::{
 pub use digest::{Digest, Digester, digest};
 pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, encode_node};
 pub use error::StoreError;
+pub(crate) use files::followed;
 pub use files::{SPILL_SUFFIX, spill_path};
 pub use flip::{Flip, NodeChange};
 pub use handle::{SiteOptions, Store};

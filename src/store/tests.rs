@@ -6,7 +6,7 @@ use super::*;
 use proptest::prelude::*;
 use rusqlite::Connection;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn names(path: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(path.parent().unwrap()).unwrap();
@@ -318,8 +318,13 @@ fn a_first_filling_goes_straight_into_the_file_and_the_flip_through_the_log() {
     assert!(journal(&path).exists());
     // Who came meanwhile sees the commit.
     let early = Store::open(&path).unwrap();
-    assert_eq!(early.snapshot().unwrap().generation(), 0);
+    let nothing_yet = early.snapshot().unwrap();
+    assert_eq!(nothing_yet.generation(), 0);
+    // And who holds that there is nothing keeps nobody waiting.
+    let begun = Instant::now();
     writer.commit(change).unwrap();
+    assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
+    assert_eq!((nothing_yet.scans().len(), nothing_yet.generation()), (0, 0));
     assert_eq!((early.snapshot().unwrap().generation(), other()), (1, 1));
     assert!(!journal(&path).exists());
     let held = store.snapshot().unwrap();
@@ -404,6 +409,42 @@ fn who_has_an_empty_store_open_keeps_it_while_it_is_filled() {
 }
 
 #[test]
+fn a_store_that_is_made_to_be_written_is_nobody_elses_and_is_removed_with_its_lock() {
+    let (_folder, path) = folder();
+    let (store, mut writer) = Store::create_with_writer(&path, options()).unwrap();
+    assert!(matches!(Store::open(&path).unwrap().writer(), Err(StoreError::InUse { .. })));
+    writer.expect_many().unwrap();
+    drop(prepare(&mut writer, some_points(3000), &[]));
+    drop(store);
+    writer.remove_store();
+    let left: Vec<_> = std::fs::read_dir(path.parent().unwrap()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert!(left.is_empty(), "{left:?}");
+    assert!(matches!(Store::open(&path), Err(StoreError::NotThere { .. })));
+    replace(&Store::create(&path, options()).unwrap(), some_points(300));
+}
+
+#[test]
+#[cfg(unix)]
+fn a_link_to_a_store_is_the_store() {
+    let (_folder, path) = folder();
+    let link = path.with_file_name("link.esker");
+    std::os::unix::fs::symlink(&path, &link).unwrap();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(300));
+    let linked = Store::open(&link).unwrap();
+    let writer = linked.writer().unwrap();
+    assert!(matches!(store.writer(), Err(StoreError::InUse { .. })));
+    drop((writer, linked, store));
+    std::thread::sleep(Duration::from_millis(150));
+    // Nor is what lies beside it overlooked.
+    std::fs::write(journal(&path), "of a deleted store").unwrap();
+    let before = std::fs::read(&path).unwrap();
+    assert!(matches!(Store::open(&link), Err(StoreError::ForeignJournal { .. })));
+    assert!(!Store::is_unfinished(&link));
+    assert_eq!(std::fs::read(&path).unwrap(), before);
+}
+
+#[test]
 fn a_journal_beside_a_store_with_content_is_another_ones() {
     let (_folder, path) = folder();
     drop(Store::create(&path, options()).unwrap());
@@ -416,6 +457,7 @@ fn a_journal_beside_a_store_with_content_is_another_ones() {
     std::fs::write(journal(&path), "of a deleted store").unwrap();
     let before = std::fs::read(&path).unwrap();
     assert!(matches!(Store::open(&path), Err(StoreError::ForeignJournal { .. })));
+    assert!(!Store::is_unfinished(&path));
     assert_eq!(std::fs::read(&path).unwrap(), before);
 }
 

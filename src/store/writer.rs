@@ -6,7 +6,7 @@
 
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
-use super::files::{remove_spills, wal_bytes};
+use super::files::{self, remove_spills, wal_bytes};
 use super::flip::{Flip, flip};
 use super::interrupt::unless;
 use super::lock::WriterLock;
@@ -91,10 +91,15 @@ pub struct Writer {
 
 impl Writer {
     pub(super) fn open(place: &Arc<Place>) -> Result<Self, StoreError> {
+        Self::open_locked(place, None)
+    }
+
+    /// With the lock, if it is held already.
+    pub(super) fn open_locked(place: &Arc<Place>, held: Option<WriterLock>) -> Result<Self, StoreError> {
         let (connection, lock) = match &**place {
             Place::File(file) => {
                 file.check_there()?;
-                let taken = WriterLock::take(&file.path)?;
+                let taken = held.map_or_else(|| WriterLock::take(&file.path), Ok)?;
                 let connection = connection::open(&file.path, Purpose::Write).map_err(|e| e.at(&file.path))?;
                 (Some(connection), Some(taken))
             }
@@ -400,6 +405,16 @@ impl Writer {
     pub(super) fn limit_pages(&self, pages: i64) {
         let limit = format!("PRAGMA max_page_count = {pages}");
         self.run(|c| Ok(c.query_row(&limit, [], |_| Ok(()))?)).unwrap();
+    }
+
+    /// Ends writing and removes the files of the store, while nobody else can be writing to it or making another in its place.
+    pub fn remove_store(mut self) {
+        self.roll_back();
+        self.connection = None;
+        if let Place::File(file) = &*self.place {
+            file.close_idle();
+            files::remove(&file.path);
+        }
     }
 
     fn roll_back(&mut self) {

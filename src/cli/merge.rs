@@ -37,6 +37,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         for name in &merged.skipped {
             output::line(format_args!("{}: skipped, it is there already", output::clean(name)))?;
         }
+        for note in &merged.notes {
+            eprintln!("esker: {}", output::clean(note));
+        }
         output::line(format_args!(
             "{} scans, {} points joined in {:.1} s",
             merged.scans.len(),

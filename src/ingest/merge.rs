@@ -25,6 +25,8 @@ pub struct Merged {
     pub scans: Vec<String>,
     /// Scans that several of the stores have, by name: they are taken once.
     pub skipped: Vec<String>,
+    /// What a user should know of it.
+    pub notes: Vec<String>,
     /// Points.
     pub points: u64,
     /// Wall time.
@@ -71,7 +73,7 @@ pub fn merge(
             },
         )?;
         match join(context, &shards, &site, &mut writer) {
-            Ok(merged) => Ok(Merged { seconds: begun.elapsed().as_secs_f64(), ..merged }),
+            Ok(merged) => Ok(Merged { seconds: begun.elapsed().as_secs_f64(), notes: notes(&shards, &site), ..merged }),
             Err(error) => {
                 writer.remove_store();
                 Err(error)
@@ -131,6 +133,15 @@ fn agreed(shards: &[Shard]) -> Result<Site, IngestError> {
         }
     }
     Ok(site)
+}
+
+/// What is taken for granted.
+fn notes(shards: &[Shard], site: &Site) -> Vec<String> {
+    let Some(crs) = &site.crs else { return Vec::new() };
+    let without = shards.iter().filter(|shard| shard.snapshot.site().crs.is_none());
+    without
+        .map(|s| format!("{} names no CRS and is taken to be in the others', {}", s.path.display(), crs.describe()))
+        .collect()
 }
 
 fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Writer) -> Result<Merged, IngestError> {

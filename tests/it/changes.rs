@@ -106,6 +106,13 @@ fn merge_refuses_what_is_not_alike_and_writes_over_nothing() {
     esker_fails(&["merge", &store, &other], 1, &["already"]);
     esker_ok(&["merge", &out, &store, &store]);
     assert_eq!(esker_ok(&["digest", &out]), esker_ok(&["digest", &store]));
+    // What names no CRS is joined, and that is said.
+    let (bare, joined) = (place.path("bare.esker"), place.path("joined.esker"));
+    fs::write(place.path("bare.xyz"), "690000 5330000 500\n690001 5330001 501\n").unwrap();
+    esker_ok(&["ingest", &bare, &place.path("bare.xyz"), "--lattice", &store]);
+    let output = esker(&["merge", &joined, &store, &bare]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("bare.esker names no CRS") && said.contains("UTM"), "{said}");
 }
 
 #[test]

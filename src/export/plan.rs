@@ -54,12 +54,18 @@ pub fn plan(
     };
     let meeting = Meeting::of(snapshot, form);
     notes.extend(meeting.notes.iter().cloned());
-    // Scans without times say nothing of them.
-    let has_times = |s: &&&Scan| {
+    let has = |s: &Scan, wanted: &str| {
         let mut names = s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &a.attribute.name);
-        names.any(|name| name == "GpsTime")
+        names.any(|name| name == wanted)
     };
-    let timed: Vec<&&Scan> = scans.iter().filter(has_times).collect();
+    let mut lacking: Vec<&str> = meeting.attributes.iter().map(|a| &*a.name).collect();
+    lacking.retain(|name| scans.iter().any(|s| has(s, name)) && !scans.iter().all(|s| has(s, name)));
+    lacking.dedup();
+    if !lacking.is_empty() {
+        notes.push(format!("some of the scans have no {}: their points have 0 there", lacking.join(", ")));
+    }
+    // Scans without times say nothing of them.
+    let timed: Vec<&&Scan> = scans.iter().filter(|s| has(s, "GpsTime")).collect();
     let standard = timed.iter().filter(|s| is_standard(s)).count();
     if is_las(format) && standard > 0 && standard < timed.len() {
         notes.push(

@@ -13,6 +13,23 @@ fn ply(x: i32, ty: &str, red: [u32; 3]) -> String {
 }
 
 #[test]
+fn what_some_scans_have_not_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(path("a.csv"), "x,y,z,q\n1,1,1,5\n").unwrap();
+    fs::write(path("b.csv"), "x,y,z,h\n2,2,2,0.5\n").unwrap();
+    let store = path("s.esker");
+    esker_ok(&["ingest", &store, &path("a.csv"), &path("b.csv")]);
+    let said = |more: &[&str]| {
+        let output = esker(&[&["query", &store, "-o", "-"], more].concat());
+        assert!(output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(said(&[]).contains("some of the scans have no h, q: their points have 0 there"), "{}", said(&[]));
+    assert!(!said(&["--scan", "a"]).contains("have no"));
+}
+
+#[test]
 fn colours_of_8_and_of_16_bits_meet_with_16() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();

@@ -27,6 +27,12 @@ def test_numpys_numbers_are_numbers(site):
     assert store.density(np.float32(5)).counts.sum() == 60_000
 
 
+def test_edges_of_squares_are_multiples_of_the_side_as_it_is_written():
+    """Products of floats gave 770519.3999999999."""
+    density = esker.Density(0.7, [np.zeros(1)] * 3, (1100742, -3), (1, 1))
+    assert (density.x0, density.y0) == (770519.4, -2.1)
+
+
 def test_corners_and_rings_of_arrays_are_regions(site):
     low, high = [X - 5, Y - 5, 490], [X + 5, Y + 5, 510]
     assert site.store.count(box=np.array([low, high])) == site.store.count(box=low + high) > 0

@@ -5,7 +5,7 @@ use super::{Outcome, output, values};
 use crate::formats::{Raster, RasterFormat, write_raster};
 use crate::query::Density;
 use crate::store::{Limits, Store};
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -85,6 +85,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let query = arguments.which.query(arguments.which.region(&snapshot)?)?;
     let density = query.density(&snapshot, arguments.side)?;
     if let Some((path, format)) = target {
+        if format == Format::Asc && density.counts.is_empty() {
+            bail!("no points match, and a raster of no squares is none: nothing was written");
+        }
         let (format, bands) = match format {
             Format::Asc => (RasterFormat::Asc, vec![("value", band(&density, arguments.value))]),
             Format::Csv => {

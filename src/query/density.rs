@@ -6,7 +6,7 @@ use super::part::{Look, Part};
 use super::plan::{Plan, Prospect, Scope};
 use super::{Detail, Query, QueryError};
 use crate::geometry::Containment;
-use crate::lattice::LatticeBox;
+use crate::lattice::{BIAS, BITS, Decimal, Lattice, LatticeBox, LatticePoint};
 use crate::store::{NodeIx, Snapshot};
 use std::collections::HashMap;
 
@@ -14,7 +14,8 @@ use std::collections::HashMap;
 const MOST_SQUARES: u64 = 1 << 28;
 
 /// A grid of squares in plan, x first: square `(i, j)` is at `j * size[0] + i`, and holds the points with
-/// `floor(x / side) = first[0] + i` and `floor(y / side) = first[1] + j`.
+/// `floor(x / side) = first[0] + i` and `floor(y / side) = first[1] + j`: exact, the side and the coordinates being
+/// decimals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Density {
     /// The side of a square, in CRS units.
@@ -43,6 +44,71 @@ struct Square {
 
 type Squares = HashMap<[i64; 2], Square>;
 
+/// One axis in integers: `floor(coordinate / side) = floor((index * quantum + origin) / side)`.
+#[derive(Clone, Copy, Debug)]
+struct Ruler {
+    quantum: i128,
+    origin: i128,
+    side: i128,
+}
+
+impl Ruler {
+    /// Of an axis and a side above 0; `None` if they have no common power of ten that fits.
+    fn new(lattice: &Lattice, axis: usize, side: Decimal) -> Option<Self> {
+        let (quantum, phase) = (lattice.quantum()[axis], lattice.phase()[axis]);
+        let exponent = quantum.common_exponent(phase).min(side.exponent());
+        // Every coordinate is less than 2^126; a side that does not fit is more than that, as this one is.
+        let side = side.scaled_to(exponent).unwrap_or(i128::MAX);
+        let quantum = quantum.scaled_to(exponent).filter(|q| q >> (126 - BITS) == 0)?;
+        let origin = phase.scaled_to(exponent)? - i128::from(BIAS) * quantum;
+        Some(Self { quantum, origin, side })
+    }
+
+    /// The number of the square; it never decreases. `None` if it does not fit.
+    fn square(&self, index: u64) -> Option<i64> {
+        let units = i128::from(index) * self.quantum + self.origin;
+        match (i64::try_from(units), i64::try_from(self.side)) {
+            // Many times as fast.
+            (Ok(units), Ok(side)) => Some(units.div_euclid(side)),
+            _ => i64::try_from(units.div_euclid(self.side)).ok(),
+        }
+    }
+}
+
+/// Which square a point is in.
+#[derive(Clone, Copy, Debug)]
+struct Grid {
+    side: f64,
+    axes: [Ruler; 2],
+}
+
+impl Grid {
+    fn new(lattice: &Lattice, side: f64) -> Result<Self, QueryError> {
+        let ruler = |axis| {
+            let ruler = Decimal::from_f64(side).and_then(|side| Ruler::new(lattice, axis, side));
+            ruler.ok_or_else(|| refused(side, "larger: it has too many digits beside the quantum"))
+        };
+        Ok(Self { side, axes: [ruler(0)?, ruler(1)?] })
+    }
+
+    fn square(&self, x: u64, y: u64) -> Result<[i64; 2], QueryError> {
+        let [across, up] = self.axes;
+        let square = across.square(x).zip(up.square(y)).map(<[i64; 2]>::from);
+        square.ok_or_else(|| refused(self.side, "larger: the numbers of its squares do not fit"))
+    }
+
+    /// The square that holds all of a box.
+    fn around(&self, bounds: &LatticeBox) -> Result<Option<[i64; 2]>, QueryError> {
+        let of = |p: LatticePoint| self.square(p.0[0], p.0[1]);
+        let (low, high) = (of(bounds.min)?, of(bounds.max)?);
+        Ok((low == high).then_some(low))
+    }
+}
+
+fn refused(side: f64, expected: &'static str) -> QueryError {
+    QueryError::Detail { what: "side of a square", value: side, expected }
+}
+
 fn add(squares: &mut Squares, at: [i64; 2], more: Square) {
     squares
         .entry(at)
@@ -60,21 +126,22 @@ impl Query {
     /// # Errors
     ///
     /// As [`Query::run`]; [`QueryError::Combination`] if the query has a level, a capacity or a view;
-    /// [`QueryError::Detail`] if the side is not above 0, or so small that there would be more than 2^28 squares.
+    /// [`QueryError::Detail`] if the side is not above 0, or so small that there would be more than 2^28 squares or that
+    /// its digits do not fit.
     pub fn density(&self, snapshot: &Snapshot, side: f64) -> Result<Density, QueryError> {
         if self.view.is_some() || self.capacity.is_some() || self.detail != Detail::Everything {
             return Err(QueryError::Combination(
                 "all points are counted; leave out the view, level, spacing, max error and capacity",
             ));
         }
-        let refused = |expected| Err(QueryError::Detail { what: "side of a square", value: side, expected });
         if !(f64::MIN_POSITIVE..f64::INFINITY).contains(&side) {
-            return refused("a length above 0");
+            return Err(refused(side, "a length above 0"));
         }
         let plan = Plan::new(self, snapshot)?;
-        let (mut squares, parts) = plan.by_rows(side)?;
+        let grid = Grid::new(&plan.lattice, side)?;
+        let (mut squares, parts) = plan.by_rows(&grid)?;
         for window in parts.chunks(plan.window()) {
-            let read = plan.each(window.to_vec(), |(node, part)| plan.squares_of(node, part, side))?;
+            let read = plan.each(window.to_vec(), |(node, part)| plan.squares_of(node, part, &grid))?;
             for one in read {
                 one.into_iter().for_each(|(at, square)| add(&mut squares, at, square));
             }
@@ -87,7 +154,7 @@ impl Query {
         };
         let size: [u64; 2] = std::array::from_fn(|i| last[i].abs_diff(first[i]).saturating_add(1));
         if size[0].saturating_mul(size[1]) > MOST_SQUARES {
-            return refused("larger: there would be more than 2^28 squares");
+            return Err(refused(side, "larger: there would be more than 2^28 squares"));
         }
         let size = size.map(|n| n as usize);
         let mut counts = vec![0; size[0] * size[1]];
@@ -109,32 +176,20 @@ fn corner(squares: &Squares, choose: fn(i64, i64) -> i64) -> Option<[i64; 2]> {
 }
 
 impl Plan {
-    /// Which square; it never decreases along an axis.
-    fn square_of(&self, x: u64, y: u64, side: f64) -> [i64; 2] {
-        [(0, x), (1, y)].map(|(axis, v)| (self.lattice.world_on_axis(axis, v) / side).floor() as i64)
-    }
-
-    /// The square that holds all of a box.
-    fn square_around(&self, bounds: &LatticeBox, side: f64) -> Option<[i64; 2]> {
-        let of = |p: crate::lattice::LatticePoint| self.square_of(p.0[0], p.0[1], side);
-        let (low, high) = (of(bounds.min), of(bounds.max));
-        (low == high).then_some(low)
-    }
-
     /// What the rows say, and the parts that must be read.
-    fn by_rows(&self, side: f64) -> Result<(Squares, Vec<(NodeIx, usize)>), QueryError> {
+    fn by_rows(&self, grid: &Grid) -> Result<(Squares, Vec<(NodeIx, usize)>), QueryError> {
         let mut squares = Squares::new();
         let mut parts = Vec::new();
         let heights = |points: u64, b: &LatticeBox| Square { points, lowest: b.min.0[2], highest: b.max.0[2] };
         self.walk(|node| {
-            if let Some(at) = self.square_around(&node.subtree_bounds, side)
+            if let Some(at) = grid.around(&node.subtree_bounds)?
                 && self.prospect(node, Scope::Subtree)? == Prospect::Everything
             {
                 add(&mut squares, at, heights(node.subtree_points, &node.subtree_bounds));
                 return Ok(false);
             }
             let (Some(bounds), own) = (&node.own_bounds, self.prospect(node, Scope::Own)?) else { return Ok(true) };
-            match (own, self.square_around(bounds, side)) {
+            match (own, grid.around(bounds)?) {
                 (Prospect::Nothing, _) => {}
                 (Prospect::Everything, Some(at)) => add(&mut squares, at, heights(node.own_points, bounds)),
                 _ => {
@@ -148,16 +203,49 @@ impl Plan {
     }
 
     /// What a part has in each square.
-    fn squares_of(&self, node: NodeIx, part: usize, side: f64) -> Result<Squares, QueryError> {
+    fn squares_of(&self, node: NodeIx, part: usize, grid: &Grid) -> Result<Squares, QueryError> {
         self.cancel.check()?;
         let outside = |bounds: &LatticeBox| self.region.classify(bounds) == Containment::Outside;
         let mut squares = Squares::new();
         for found in Part::at(self, node, part)?.find(&Look { skips: &outside, misses: false, positions: true })? {
             for i in found.mask.indices() {
                 let [x, y, z] = found.content.positions.point(i as usize).0;
-                add(&mut squares, self.square_of(x, y, side), Square { points: 1, lowest: z, highest: z });
+                add(&mut squares, grid.square(x, y)?, Square { points: 1, lowest: z, highest: z });
             }
         }
         Ok(squares)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Division of floats put 0.3 into square 2 of side 0.1.
+    #[test]
+    fn points_on_an_edge_are_in_the_square_above_it() {
+        let decimal = |v: f64| Decimal::from_f64(v).unwrap();
+        for (quantum, phase, side) in [
+            (0.01, 0.0, 0.1),
+            (0.001, 0.0, 0.3),
+            (0.001, 0.0002, 1.1),
+            (0.1, 0.0, 0.007),
+            (2.5, 0.5, 1e300),
+            (100.0, 0.0, 30.0),
+        ] {
+            let lattice = Lattice::new([decimal(quantum); 3], [decimal(phase); 3]).unwrap();
+            let grid = Grid::new(&lattice, side).unwrap();
+            for steps in (-2000_i64..2000).chain([-BIAS, BIAS, 1 << 40]) {
+                let index = (BIAS + steps) as u64;
+                let coordinate = lattice.decimal_on_axis(0, index);
+                let [n, _] = grid.square(index, index).unwrap();
+                let edge = |n: i64| Decimal::new(i128::from(n) * decimal(side).mantissa(), decimal(side).exponent());
+                assert!((edge(n)..edge(n + 1)).contains(&coordinate), "{coordinate} is not in square {n} of {side}");
+            }
+        }
+        let lattice = Lattice::uniform(0.01).unwrap();
+        let square = |side, steps| Grid::new(&lattice, side).and_then(|g| g.square((BIAS + steps) as u64, BIAS as u64));
+        assert_eq!(square(0.1, 30).unwrap(), [3, 0]);
+        assert!(square(1e-16, 2).is_ok() && square(1e-300, 2).is_err() && square(1e-16, 1 << 40).is_err());
     }
 }

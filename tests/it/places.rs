@@ -104,6 +104,26 @@ fn neighbours_and_densities_come_out_of_the_shell() {
         let at = [0, 1].map(|i| (row[i] / 2.0).floor() as i64);
         assert_eq!((row[2], row[3], row[4]), squares[&at], "{row:?}");
     }
+    // Sides that are no float, exactly: with the centres the nearest floats.
+    for tenths in [1, 3, 11] {
+        let mut squares: BTreeMap<[i64; 2], f64> = BTreeMap::new();
+        for p in &points {
+            let at = [0, 1].map(|i| ((p[i] * 100.0).round() as i64).div_euclid(10 * tenths));
+            *squares.entry(at).or_default() += 1.0;
+        }
+        let centre = |n: i64| format!("{}e-2", 10 * tenths * n + 5 * tenths).parse::<f64>().unwrap();
+        let mut expected: Vec<[f64; 3]> = squares.iter().map(|(at, &n)| [centre(at[0]), centre(at[1]), n]).collect();
+        let side = format!("0.{tenths}").replace("0.11", "1.1");
+        let rows = table(&esker_ok(&["density", &store, "--side", &side, "-o", "-", "--format", "csv"]));
+        let mut found: Vec<[f64; 3]> = rows.iter().map(|row| [row[0], row[1], row[2]]).collect();
+        for all in [&mut expected, &mut found] {
+            all.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        }
+        assert!(found == expected, "{side}");
+    }
+    let none = path("none.asc");
+    esker_fails(&["density", &store, "--side", "2", "--where", "Z > 1000", "-o", &none], 1, &["no points match"]);
+    assert!(!fs::exists(&none).unwrap());
     let grid = path("density.asc");
     let words = esker_ok(&["density", &store, "--side", "2", "-o", &grid]);
     assert!(words.contains("3,000") && words.contains("fullest"), "{words}");

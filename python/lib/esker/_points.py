@@ -2,6 +2,7 @@
 
 import json
 import threading
+from fractions import Fraction
 from typing import Any, Dict, Iterator, Optional, Tuple
 
 import numpy as np
@@ -233,8 +234,10 @@ class Density:
 
     def __init__(self, side: float, arrays: Any, first: Any, size: Any) -> None:
         self.side = side
+        # The side is the decimal that it is written as: -3 sides of 0.1 are -0.3.
+        exact = Fraction(repr(side))
         #: The low edges of the first square.
-        self.x0, self.y0 = first[0] * side, first[1] * side
+        self.x0, self.y0 = float(first[0] * exact), float(first[1] * exact)
         shape = (size[1], size[0])
         #: Points in each square.
         self.counts: np.ndarray = arrays[0].reshape(shape)

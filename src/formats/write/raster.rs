@@ -3,6 +3,7 @@
 use super::destination::Destination;
 use super::number::push_f64;
 use crate::formats::FormatError;
+use crate::lattice::Decimal;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -19,7 +20,8 @@ pub enum RasterFormat {
     Csv,
 }
 
-/// Values of squares: square `(i, j)` is at `j * size[0] + i`, and its low corner at `(first + (i, j)) * side`.
+/// Values of squares: square `(i, j)` is at `j * size[0] + i`, and its low corner at `(first + (i, j)) * side`, the side being
+/// the decimal that it is written as.
 #[derive(Clone, Copy, Debug)]
 pub struct Raster<'a> {
     /// The side of a square.
@@ -51,9 +53,23 @@ pub fn write_raster(path: &Path, format: RasterFormat, raster: &Raster, force: b
 }
 
 impl Raster<'_> {
+    /// The nearest `f64` to so many halves of a side.
+    fn at(&self, halves: i128) -> f64 {
+        let exact = Decimal::from_f64(self.side).and_then(|side| {
+            let fives = halves.checked_mul(5)?.checked_mul(side.mantissa())?;
+            Some(Decimal::new(fives, side.exponent() - 1))
+        });
+        exact.map_or(halves as f64 / 2.0 * self.side, Decimal::to_f64)
+    }
+
+    /// The centre of the square at `i` on an axis.
+    fn centre(&self, axis: usize, i: usize) -> f64 {
+        self.at(2 * (i128::from(self.first[axis]) + i as i128) + 1)
+    }
+
     fn write_asc(&self, out: &mut BufWriter<File>) -> std::io::Result<()> {
         let [across, up] = self.size;
-        let [x, y] = self.first.map(|first| first as f64 * self.side);
+        let [x, y] = self.first.map(|first| self.at(2 * i128::from(first)));
         writeln!(out, "ncols {across}\nnrows {up}\nxllcorner {x}\nyllcorner {y}")?;
         writeln!(out, "cellsize {}\nNODATA_value {NO_DATA}", self.side)?;
         let Some((_, values)) = self.bands.first() else { return Ok(()) };
@@ -81,17 +97,16 @@ impl Raster<'_> {
         line.push(b'\n');
         out.write_all(&line)?;
         let [across, up] = self.size;
+        let (x, y): (Vec<f64>, Vec<f64>) =
+            ((0..across).map(|i| self.centre(0, i)).collect(), (0..up).map(|j| self.centre(1, j)).collect());
         for at in 0..across * up {
             if self.bands.iter().all(|(_, values)| values[at].is_nan() || values[at] == 0.0) {
                 continue;
             }
             line.clear();
-            for (axis, i) in [at % across, at / across].into_iter().enumerate() {
-                if axis > 0 {
-                    line.push(b',');
-                }
-                push_f64(&mut line, ((self.first[axis] + i as i64) as f64 + 0.5) * self.side);
-            }
+            push_f64(&mut line, x[at % across]);
+            line.push(b',');
+            push_f64(&mut line, y[at / across]);
             for (_, values) in self.bands {
                 line.push(b',');
                 if !values[at].is_nan() {
@@ -124,5 +139,18 @@ mod tests {
         assert_eq!(written(&bands[1..], RasterFormat::Asc), format!("{head}9 -9999 1\n7 -9999 8\n"));
         let table = "X,Y,Count,Lowest\n-0.75,5.25,1,7\n0.25,5.25,2,8\n-0.75,5.75,3,9\n0.25,5.75,4.5,1\n";
         assert_eq!(written(&bands, RasterFormat::Csv), table);
+    }
+
+    /// Products of floats gave 770519.3999999999.
+    #[test]
+    fn edges_and_centres_are_the_nearest_floats_to_multiples_of_the_side() {
+        let raster = |side, first| Raster { side, first: [first; 2], size: [1; 2], bands: &[] };
+        for n in (-5000..5000).chain(7_705_000..7_706_000) {
+            let text = |tenths: i64| format!("{tenths}e-2").parse::<f64>().unwrap();
+            assert_eq!(raster(0.1, n).at(2 * i128::from(n)), text(10 * n));
+            assert_eq!(raster(0.1, n).centre(0, 0), text(10 * n + 5));
+            assert_eq!(raster(1.1, n).centre(1, 3), text(110 * (n + 3) + 55));
+        }
+        assert_eq!(raster(0.7, 0).at(2 * 1_100_742), 770_519.4);
     }
 }

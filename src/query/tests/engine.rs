@@ -273,17 +273,20 @@ proptest! {
 
     #[test]
     fn densities_are_counts_and_heights_by_square(
-        places in places(120), params in params(), asked in asked(), side in prop::sample::select(vec![0.25, 0.7, 3.0, 100.0]),
+        places in places(120), params in params(), asked in asked(),
+        hundredths in prop::sample::select(vec![10_i64, 25, 30, 70, 110, 300, 10_000]),
     ) {
         let test = store(&[numbered(places)], params, None);
         let matches = asked.matches(&test, None);
         let mut expected: BTreeMap<[i64; 2], (u64, f64, f64)> = BTreeMap::new();
         for p in test.points.iter().filter(|p| matches(p)) {
             let w = worlds(&test, p);
-            let square = expected.entry([0, 1].map(|i| (w[i] / side).floor() as i64)).or_insert((0, w[2], w[2]));
+            // The quantum is 25 hundredths.
+            let at = [0, 1].map(|i| (25 * (p.at().0[i] as i64 - BIAS)).div_euclid(hundredths));
+            let square = expected.entry(at).or_insert((0, w[2], w[2]));
             *square = (square.0 + 1, square.1.min(w[2]), square.2.max(w[2]));
         }
-        let found = asked.query(&test).density(&test.snapshot, side).unwrap();
+        let found = asked.query(&test).density(&test.snapshot, hundredths as f64 / 100.0).unwrap();
         let mut squares = BTreeMap::new();
         for (i, &n) in found.counts.iter().enumerate() {
             let at = [i % found.size[0], i / found.size[0]];

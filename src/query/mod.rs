@@ -27,6 +27,7 @@ mod part;
 mod pieces;
 mod plan;
 mod policy;
+mod radius;
 mod region;
 mod request;
 mod run;

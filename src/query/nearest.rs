@@ -67,7 +67,7 @@ impl Query {
         let mut plan = Plan::new(self, snapshot)?;
         // The neighbours of a point are read again for the point beside it.
         plan.reads(0);
-        let farthest = radius.map_or(f64::INFINITY, |r| r * r);
+        let farthest = radius.map_or(f64::INFINITY, super::radius::square_within);
         let found = find(&plan, points, k, farthest)?;
         let mut ends = Vec::with_capacity(points.len());
         let mut all: Vec<Candidate> = Vec::new();

@@ -1,6 +1,7 @@
 //! The same answers by other ways: batch by batch, folded, on one thread; ended early; neighbours and densities.
 
 use super::*;
+use crate::lattice::LatticePoint;
 use crate::points::Positions;
 use std::collections::BTreeMap;
 
@@ -233,7 +234,9 @@ proptest! {
     #[test]
     fn neighbours_are_those_that_brute_force_finds(
         places in places(120), params in params(), asked in asked(), k in 0_usize..9,
-        near in prop::collection::vec(prop::array::uniform3(-30_i32..300), 1..30), radius in prop::option::of(0.0..40.0),
+        near in prop::collection::vec(prop::array::uniform3(-30_i32..300), 1..30),
+        // Half the squares that there are: many points are just that far.
+        radius in prop::option::of((0_u32..50_000).prop_map(|n| (f64::from(n) / 32.0).sqrt())),
     ) {
         let test = store(&[numbered(places)], params, None);
         prop_assume!(!test.points.is_empty());
@@ -255,7 +258,7 @@ proptest! {
                 (dx * dx + dy * dy) + dz * dz
             };
             let mut all: Vec<(f64, Key)> = test.points.iter().filter(|p| matches(p))
-                .map(|p| (square(p), p.key)).filter(|(s, _)| radius.is_none_or(|r| *s <= r * r)).collect();
+                .map(|p| (square(p), p.key)).filter(|(s, _)| radius.is_none_or(|r| s.sqrt() <= r)).collect();
             all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             all.truncate(k);
             let own = &mine[start..end];
@@ -298,6 +301,15 @@ proptest! {
         }
         prop_assert_eq!(squares, expected);
     }
+}
+
+/// The square of the radius, 0.7499999999999999, is less than that of the distance, whose root the radius is.
+#[test]
+fn a_neighbour_at_just_the_radius_is_one() {
+    let test = store(&[numbered(vec![(LatticePoint([BIAS as u64; 3]), 0)])], Params { g: 4, leaf_capacity: 500 }, None);
+    let nearest = |radius| Query::new().nearest(&test.snapshot, &[[0.5; 3]], 1, Some(radius)).unwrap();
+    assert_eq!(nearest(0.866_025_403_784_438_6).distances, [0.866_025_403_784_438_6]);
+    assert!(nearest(0.866_025_403_784_438_5).distances.is_empty());
 }
 
 #[test]

@@ -10,6 +10,43 @@ const DESCRIPTOR_BYTES: usize = 192;
 /// Bytes of a name in it.
 const NAME_BYTES: usize = 32;
 
+/// What laspy calls fields of formats 6 to 8, parts of them and coordinates: it refuses files with extra bytes of these names,
+/// or gives the field instead.
+const LASPY_NAMES: [&str; 32] = [
+    "X",
+    "Y",
+    "Z",
+    "x",
+    "y",
+    "z",
+    "intensity",
+    "bit_fields",
+    "return_number",
+    "return_num",
+    "number_of_returns",
+    "num_returns",
+    "classification_flags",
+    "synthetic",
+    "key_point",
+    "withheld",
+    "overlap",
+    "scanner_channel",
+    "scan_direction_flag",
+    "edge_of_flight_line",
+    "classification",
+    "raw_classification",
+    "user_data",
+    "scan_angle",
+    "scan_angle_rank",
+    "point_source_id",
+    "pt_src_id",
+    "gps_time",
+    "red",
+    "green",
+    "blue",
+    "nir",
+];
+
 /// An extra byte under the name that it has in the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct ExtraField {
@@ -23,10 +60,12 @@ pub(super) struct ExtraField {
 pub(super) struct Names(HashSet<String>);
 
 impl Names {
-    /// The name of `attribute`: without the `extra.` that a reader gives it again, cut to what fits, and with a number
-    /// if it is taken.
+    /// The name of `attribute`: without the `extra.` that a reader gives it again, but with it where laspy has the name;
+    /// cut to what fits, and with a number if it is taken.
     pub fn field(&mut self, attribute: &Attribute) -> ExtraField {
-        let plain = attribute.name.strip_prefix("extra.").filter(|n| is_las_dimension(n)).unwrap_or(&attribute.name);
+        let short = attribute.name.strip_prefix("extra.").filter(|n| is_las_dimension(n)).unwrap_or(&attribute.name);
+        let reserved = LASPY_NAMES.contains(&short).then(|| format!("extra.{short}"));
+        let plain = reserved.as_deref().unwrap_or(short);
         let cut = |bytes: usize| &plain[..plain.floor_char_boundary(bytes)];
         let mut name = cut(NAME_BYTES).to_owned();
         let mut number = 2;
@@ -35,7 +74,7 @@ impl Names {
             name = format!("{}{suffix}", cut(NAME_BYTES - suffix.len()));
             number += 1;
         }
-        ExtraField { renamed: name != plain, name }
+        ExtraField { renamed: name != short && name != attribute.name, name }
     }
 }
 
@@ -95,6 +134,22 @@ mod tests {
         let long = "n".repeat(40);
         assert_eq!(name(&long, ScalarType::U8).name, "n".repeat(32));
         assert_eq!(name(&long, ScalarType::I8).name, format!("{}.2", "n".repeat(30)));
+    }
+
+    /// laspy refuses a second `scan_angle`.
+    #[test]
+    fn names_that_laspy_has_are_made_apart() {
+        let mut names = Names::default();
+        let mut field = |n: &str, ty| names.field(&Attribute::new(n, ty));
+        let renamed = |name: &str| ExtraField { name: name.into(), renamed: true };
+        let kept = |name: &str| ExtraField { name: name.into(), renamed: false };
+        assert_eq!(field("extra.scan_angle", ScalarType::F32), kept("extra.scan_angle"));
+        assert_eq!(field("scan_angle", ScalarType::F64), renamed("extra.scan_angle.2"));
+        assert_eq!(field("bit_fields", ScalarType::U8), renamed("extra.bit_fields"));
+        assert_eq!(field("Scan_Angle", ScalarType::F32), kept("Scan_Angle"));
+        for name in LASPY_NAMES {
+            assert!(!LASPY_NAMES.contains(&names.field(&Attribute::new(name, ScalarType::I8)).name.as_str()), "{name}");
+        }
     }
 
     #[test]

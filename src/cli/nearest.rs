@@ -29,8 +29,9 @@ pub(super) struct Arguments {
     /// X,Y,Z of a place; may be given several times.
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_unless_present = "places")]
     at: Vec<String>,
-    /// A text file of places: X, Y and Z in each line, separated by commas, semicolons or blanks; what follows them is
-    /// ignored, as are a first line of names and lines that begin with #. `-` is stdin.
+    /// A text file of places: X, Y and Z in each line, separated by semicolons (commas are then decimal), commas or blanks;
+    /// what follows them is ignored, as are lines that begin with #. Where a first line names X, Y and Z, these columns
+    /// are taken; other names are ignored. `-` is stdin.
     #[arg(long, value_name = "FILE", conflicts_with = "at")]
     places: Option<PathBuf>,
     /// How many neighbours each place gets at most.
@@ -124,17 +125,23 @@ fn places(arguments: &Arguments) -> anyhow::Result<Vec<[f64; 3]>> {
     read_places(&text).with_context(|| path.display().to_string())
 }
 
+/// Where X, Y and Z are in a line.
+type Columns = [usize; 3];
+
 fn read_places(text: &str) -> anyhow::Result<Vec<[f64; 3]>> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let mut columns = [0, 1, 2];
     let mut places = Vec::new();
     let lines =
         (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty() && !line.trim_start().starts_with('#'));
     for (i, (number, line)) in lines.enumerate() {
-        match place(line) {
-            Ok(place) => places.push(place),
-            // Names of columns.
-            Err(_) if i == 0 && line.chars().any(char::is_alphabetic) => {}
-            Err(error) => return Err(error.context(format!("line {number}"))),
+        if i == 0
+            && let Some(named) = heading(line)
+        {
+            columns = named;
+            continue;
         }
+        places.push(place_in(line, columns).with_context(|| format!("line {number}"))?);
     }
     if places.is_empty() {
         bail!("there are no places in it");
@@ -142,14 +149,46 @@ fn read_places(text: &str) -> anyhow::Result<Vec<[f64; 3]>> {
     Ok(places)
 }
 
+/// The columns that a line of names tells; `None` if it is no such line, since one of its first words begins as numbers do.
+fn heading(line: &str) -> Option<Columns> {
+    let words = words(line);
+    let numeric = |word: &&str| {
+        let digits = word.trim_start_matches(['+', '-', '.', '"']);
+        digits.starts_with(|c: char| c.is_ascii_digit()) || word.parse::<f64>().is_ok()
+    };
+    if words.iter().take(3).any(numeric) || !line.chars().any(char::is_alphabetic) {
+        return None;
+    }
+    let named = |name: &str| words.iter().position(|word| word.trim_matches('"').trim().eq_ignore_ascii_case(name));
+    let columns = named("x").zip(named("y")).zip(named("z")).map(|((x, y), z)| [x, y, z]);
+    Some(columns.unwrap_or([0, 1, 2]))
+}
+
+/// What the semicolons of a line separate; without any what the commas do, and without these what blanks do.
+fn words(line: &str) -> Vec<&str> {
+    match [';', ','].into_iter().find(|&separator| line.contains(separator)) {
+        Some(separator) => line.split(separator).map(str::trim).collect(),
+        None => line.split_whitespace().collect(),
+    }
+}
+
 /// The first three numbers of a line.
 fn place(text: &str) -> anyhow::Result<[f64; 3]> {
-    let separators = |c: char| c.is_whitespace() || c == ',' || c == ';';
-    let mut words = text.split(separators).filter(|word| !word.is_empty());
+    place_in(text, [0, 1, 2])
+}
+
+fn place_in(line: &str, columns: Columns) -> anyhow::Result<[f64; 3]> {
+    let words = words(line);
     let mut place = [0.0; 3];
-    for value in &mut place {
-        let word = words.next().context("X, Y and Z are wanted")?;
-        *value = word.parse().ok().filter(|v: &f64| v.is_finite()).with_context(|| format!("'{word}' is no number"))?;
+    for (value, column) in place.iter_mut().zip(columns) {
+        let word = *words.get(column).context("X, Y and Z are wanted")?;
+        // Between semicolons.
+        let decimal = word.replace(',', ".");
+        let number = decimal.parse().ok().filter(|v: &f64| v.is_finite());
+        *value = number.with_context(|| match word.contains(char::is_whitespace) {
+            true => format!("'{word}' is no number; separate numbers by semicolons where commas are decimal"),
+            false => format!("'{word}' is no number"),
+        })?;
     }
     Ok(place)
 }
@@ -168,5 +207,36 @@ mod tests {
         assert_eq!(read("1,2,3\n1,2\n"), Err("line 2: X, Y and Z are wanted".into()));
         assert_eq!(read("1,2,3\n1,2,nan\n"), Err("line 2: 'nan' is no number".into()));
         assert_eq!(read("x y z\n"), Err("there are no places in it".into()));
+    }
+
+    /// `1,2,3O` was taken for names.
+    #[test]
+    fn a_first_line_with_a_number_is_no_heading() {
+        let read = |text: &str| read_places(text).map_err(|e| output::one_line(&e));
+        for (first, word) in [("1,2,3O", "3O"), ("1,2,nan", "nan"), ("nan nan nan", "nan"), ("1O;2O;3O", "1O")] {
+            assert_eq!(read(&format!("{first}\n4,5,6\n")), Err(format!("line 1: '{word}' is no number")));
+        }
+        assert_eq!(read("\u{feff}1,2,3\n4,5,6\n"), Ok(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
+    }
+
+    #[test]
+    fn columns_that_are_named_are_taken() {
+        let read = |text: &str| read_places(text).map_err(|e| output::one_line(&e));
+        assert_eq!(read("id,x,y,z\n7,1,2,3\ntree 8,4,5,6\n"), Ok(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
+        assert_eq!(read("\u{feff}\"Z\"; X; Y\n3;1;2\n"), Ok(vec![[1.0, 2.0, 3.0]]));
+        assert_eq!(read("id x y z\n7\t1 2 3\n"), Ok(vec![[1.0, 2.0, 3.0]]));
+        assert_eq!(read("easting,northing,height\n1,2,3\n"), Ok(vec![[1.0, 2.0, 3.0]]));
+        assert_eq!(read("id,x,y,z\n7,1,2\n"), Err("line 2: X, Y and Z are wanted".into()));
+    }
+
+    /// `1,5;2,5;3,5` was read as 1, 5, 2.
+    #[test]
+    fn decimal_commas_are_read_or_refused() {
+        let read = |text: &str| read_places(text).map_err(|e| output::one_line(&e));
+        assert_eq!(read("1,5;-2,5; 3,5;a, b\n"), Ok(vec![[1.5, -2.5, 3.5]]));
+        for line in ["1,5 2,5 3,5", "1,5\t2,5\t3,5", "1 2,5 3,5", "1 2 3,5", "1,5 2 3"] {
+            assert!(read(line).is_err_and(|e| e.contains("semicolons")), "{line}");
+        }
+        assert!(read("1,,2,3").is_err() && read("1,2;3").is_err());
     }
 }

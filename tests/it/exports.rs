@@ -21,7 +21,7 @@ fn what_some_scans_have_not_is_told() {
     let store = path("s.esker");
     esker_ok(&["ingest", &store, &path("a.csv"), &path("b.csv")]);
     let said = |more: &[&str]| {
-        let output = esker(&[&["query", &store, "-o", "-"], more].concat());
+        let output = esker(&[&["query", &store, "-o", "-", "--format", "csv"], more].concat());
         assert!(output.status.success());
         String::from_utf8(output.stderr).unwrap()
     };

@@ -213,7 +213,9 @@ mod tests {
     #[test]
     fn a_first_line_with_a_number_is_no_heading() {
         let read = |text: &str| read_places(text).map_err(|e| output::one_line(&e));
-        for (first, word) in [("1,2,3O", "3O"), ("1,2,nan", "nan"), ("nan nan nan", "nan"), ("1O;2O;3O", "1O")] {
+        for (first, word) in
+            [("1,2,3O", "3O"), ("one,2,3", "one"), ("1,2,nan", "nan"), ("nan nan nan", "nan"), ("1O;2O;3O", "1O")]
+        {
             assert_eq!(read(&format!("{first}\n4,5,6\n")), Err(format!("line 1: '{word}' is no number")));
         }
         assert_eq!(read("\u{feff}1,2,3\n4,5,6\n"), Ok(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));

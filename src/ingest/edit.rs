@@ -8,7 +8,7 @@ use super::layers::{digest_of_all, fold_all, fold_if_many, joined, scan_table, t
 use super::measure::measure;
 use super::progress::{Progress, Stage};
 use super::report::{Report, Skipped, Stages};
-use super::run::{opened, remove_store};
+use super::run::opened;
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
@@ -211,7 +211,7 @@ pub fn compact(
     let copied = Context::run(path, resources, progress, |context| {
         let (_, writer) = opened(context, Store::open(path)?)?;
         // What a run that was cut off has left.
-        remove_store(&unfinished);
+        remove_copy(&unfinished);
         context.unless_cancelled(|stop| writer.copy_to(&unfinished, stop))?;
         Ok(())
     })
@@ -222,9 +222,19 @@ pub fn compact(
             Ok(Compacted { bytes_before, ..compacted })
         }
         Err(error) => {
-            remove_store(&unfinished);
+            remove_copy(&unfinished);
             Err(error)
         }
+    }
+}
+
+/// Takes away a copy that nobody else knows of.
+fn remove_copy(path: &Path) {
+    for suffix in ["", "-wal", "-shm", "-journal", "-lock"] {
+        let mut name = path.as_os_str().to_owned();
+        name.push(suffix);
+        // What can't be removed ends the next copy with an error.
+        let _ = std::fs::remove_file(PathBuf::from(name));
     }
 }
 

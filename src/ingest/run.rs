@@ -81,8 +81,10 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
             report.notes.extend(notes);
             let site = SiteOptions { lattice, g: options.g, leaf_capacity: options.leaf_capacity, crs: crs.clone() };
             match Store::create_with_writer(context.path, site) {
-                // Somebody else has come first, and their store is gone on with.
-                Err(StoreError::AlreadyThere { .. } | StoreError::InUse { .. }) if context.wait => {
+                // Somebody else has come first, and their store is gone on with. (A link that leads nowhere is no store.)
+                Err(StoreError::AlreadyThere { .. } | StoreError::InUse { .. })
+                    if context.wait && !context.path.is_symlink() =>
+                {
                     context.pause()?;
                     return run(context, inputs, options);
                 }
@@ -163,16 +165,6 @@ fn refuse_another_lattice(options: &IngestOptions, stored: &Lattice) -> Result<(
         stored: stored.quantum_f64().map(|q| q.to_string()).join(" x "),
         phase: stored.phase().map(|p| p.to_string()).join(" x "),
     })
-}
-
-/// Takes away a copy that nobody else knows of.
-pub(super) fn remove_store(path: &Path) {
-    for suffix in ["", "-wal", "-shm", "-journal", "-lock"] {
-        let mut name = path.as_os_str().to_owned();
-        name.push(suffix);
-        // What can't be removed is an empty store, which does no harm.
-        let _ = std::fs::remove_file(PathBuf::from(name));
-    }
 }
 
 fn evidence(sources: &[Source], measured: &[Option<WorldBounds>]) -> Vec<Evidence> {

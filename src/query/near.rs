@@ -12,12 +12,13 @@ use crate::lattice::{LatticeBox, LatticePoint};
 use crate::points::Positions;
 use crate::store::{Node, NodeIx};
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
 /// Points of a run: those of a word of a mask.
 pub(super) const RUN: usize = 64;
 
-/// So many blocks are kept for the places to come: 25 MB at most. Tests have few.
+/// So many blocks are kept: 25 MB at most. Tests have few.
 const MOST_BLOCKS: usize = if cfg!(test) { 3 } else { 256 };
 
 /// Parts and blocks that were read.
@@ -48,34 +49,26 @@ impl<'a> Near<'a> {
         Self { plan, parts: HashMap::new(), blocks: 0 }
     }
 
-    /// Makes room, if there is none, before the next place.
-    pub fn make_room(&mut self) {
-        if self.blocks >= MOST_BLOCKS {
-            self.parts.clear();
-            self.blocks = 0;
+    fn part(&mut self, node: &Node, part: usize) -> Result<&mut NearPart, QueryError> {
+        match self.parts.entry((node.ix(), part)) {
+            Entry::Occupied(known) => Ok(known.into_mut()),
+            Entry::Vacant(place) => {
+                let mut read = Part::new(self.plan, node, part);
+                read.read_positions(&|_| true)?;
+                let bounds: Arc<[LatticeBox]> = read.positions()?.blocks().into();
+                Ok(place.insert(NearPart { blocks: vec![None; bounds.len()], bounds }))
+            }
         }
     }
 
     /// The bounds of the blocks of a part.
     pub fn bounds(&mut self, node: &Node, part: usize) -> Result<Arc<[LatticeBox]>, QueryError> {
-        if let Some(known) = self.parts.get(&(node.ix(), part)) {
-            return Ok(known.bounds.clone());
-        }
-        let mut read = Part::new(self.plan, node, part);
-        read.read_positions(&|_| true)?;
-        let bounds: Arc<[LatticeBox]> = read.positions()?.blocks().into();
-        let blocks = vec![None; bounds.len()];
-        self.parts.insert((node.ix(), part), NearPart { bounds: bounds.clone(), blocks });
-        Ok(bounds)
+        Ok(self.part(node, part)?.bounds.clone())
     }
 
-    /// A block of a part whose bounds were asked for.
+    /// A block of a part.
     pub fn block(&mut self, node: &Node, part: usize, block: usize) -> Result<Arc<NearBlock>, QueryError> {
-        if self.blocks >= MOST_BLOCKS {
-            self.parts.values_mut().for_each(|part| part.blocks.fill(None));
-            self.blocks = 0;
-        }
-        let Some(known) = self.parts.get_mut(&(node.ix(), part)) else { return Ok(Arc::default()) };
+        let known = self.part(node, part)?;
         if let Some(read) = &known.blocks[block] {
             return Ok(read.clone());
         }
@@ -88,7 +81,11 @@ impl<'a> Near<'a> {
             NearBlock { runs: runs(&positions), positions, mask: found.mask }
         });
         let read = Arc::new(found.unwrap_or_default());
-        known.blocks[block] = Some(read.clone());
+        if self.blocks >= MOST_BLOCKS {
+            self.parts.values_mut().for_each(|part| part.blocks.fill(None));
+            self.blocks = 0;
+        }
+        self.part(node, part)?.blocks[block] = Some(read.clone());
         self.blocks += 1;
         Ok(read)
     }

@@ -128,7 +128,6 @@ impl<'a> Search<'a> {
         let mut open: BinaryHeap<Reverse<Waiting>> = BinaryHeap::new();
         let mut visited = 0;
         if self.k > 0 {
-            near.make_room();
             self.wait(plan.roots.iter().cloned(), &mut open);
         }
         while let Some(Reverse(Waiting { step, node, .. })) = open.pop() {

@@ -237,9 +237,9 @@ impl Residency {
         let idle: Vec<Key> = self.parts.iter().filter(|(_, r)| r.leaving && !shown(r)).map(|(k, _)| *k).collect();
         idle.iter().for_each(|key| self.remove(key));
         // A part of which a list shows only blocks below the limit still has the others.
+        let leaving = self.parts.values().any(|r| r.leaving);
         let beyond = self.pins[self.limit as usize..].iter().any(|&pins| pins > 0);
-        let beyond = beyond || self.parts.values().any(|r| r.leaving);
-        if !beyond && self.pool.resize(self.limit).is_ok() {
+        if !leaving && !beyond && self.pool.resize(self.limit).is_ok() {
             self.pins.truncate(self.limit as usize);
         }
     }

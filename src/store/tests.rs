@@ -423,6 +423,25 @@ fn a_store_that_is_made_to_be_written_is_nobody_elses_and_is_removed_with_its_lo
     replace(&Store::create(&path, options()).unwrap(), some_points(300));
 }
 
+/// A journal that a program which was killed has left of another database: whoever opens a file beside it as SQLite does
+/// undoes in it what the journal says.
+fn foreign_journal(folder: &Path) -> Vec<u8> {
+    let other = folder.join("other.db");
+    let connection = Connection::open(&other).unwrap();
+    // Its pages do not fit the cache, so that they and the journal are written before the end.
+    connection
+        .execute_batch(
+            "PRAGMA page_size = 2048; PRAGMA cache_size = 2; CREATE TABLE t (b); \
+             WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 60) INSERT INTO t SELECT zeroblob(1500) FROM n; \
+             BEGIN; UPDATE t SET b = randomblob(1500)",
+        )
+        .unwrap();
+    let left = std::fs::read(journal(&other)).unwrap();
+    drop(connection);
+    std::fs::remove_file(other).unwrap();
+    left
+}
+
 #[test]
 #[cfg(unix)]
 fn a_link_to_a_store_is_the_store() {
@@ -437,7 +456,7 @@ fn a_link_to_a_store_is_the_store() {
     drop((writer, linked, store));
     std::thread::sleep(Duration::from_millis(150));
     // Nor is what lies beside it overlooked.
-    std::fs::write(journal(&path), "of a deleted store").unwrap();
+    std::fs::write(journal(&path), foreign_journal(path.parent().unwrap())).unwrap();
     let before = std::fs::read(&path).unwrap();
     assert!(matches!(Store::open(&link), Err(StoreError::ForeignJournal { .. })));
     assert!(!Store::is_unfinished(&link));
@@ -454,11 +473,16 @@ fn a_journal_beside_a_store_with_content_is_another_ones() {
     replace(&store, some_points(300));
     drop(store);
     std::thread::sleep(Duration::from_millis(150));
-    std::fs::write(journal(&path), "of a deleted store").unwrap();
+    std::fs::write(journal(&path), foreign_journal(path.parent().unwrap())).unwrap();
     let before = std::fs::read(&path).unwrap();
     assert!(matches!(Store::open(&path), Err(StoreError::ForeignJournal { .. })));
     assert!(!Store::is_unfinished(&path));
     assert_eq!(std::fs::read(&path).unwrap(), before);
+    // What it would have done.
+    let _ = Connection::open(&path)
+        .unwrap()
+        .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get::<_, i64>(0));
+    assert_ne!(std::fs::read(&path).unwrap(), before);
 }
 
 #[test]

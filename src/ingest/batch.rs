@@ -90,11 +90,13 @@ pub(super) fn add(
     context.progress.stage(Stage::Commit, new_points);
     let scans_removed = batch.replaced.to_vec();
     let flip = Flip { crs: batch.crs.clone(), scans_removed, ..joined(&site, edits) };
-    for ((source, tally), scan) in sources.iter().zip(&read.tallies).zip(&scans) {
-        report.scans.push(scan_report(source, tally, scan));
-    }
+    let told: Vec<_> =
+        sources.iter().zip(&read.tallies).zip(&scans).map(|((s, tally), scan)| scan_report(s, tally, scan)).collect();
+    let flip = Flip { scans_added: scans, ..flip };
+    stages.time(Stage::Commit, new_points, || context.unless_cancelled(|stop| writer.commit_unless(flip, stop)))?;
+    // Not before: a report without scans says that nothing was committed.
+    report.scans.extend(told);
     report.points += new_points;
-    stages.time(Stage::Commit, new_points, || writer.commit(Flip { scans_added: scans, ..flip }))?;
     Ok(())
 }
 

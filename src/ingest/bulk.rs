@@ -110,7 +110,7 @@ impl Room {
                 let mut written = Written::default();
                 while let Some(mut node) = queue.pop() {
                     node.renumber(&layer.ids);
-                    writer.put_chunks(&node.chunks)?;
+                    writer.put_chunks_unless(&node.chunks, &|| context.progress.cancelled())?;
                     written.chunks += node.chunks.len() as u64;
                     written.nodes.push((node.head, node.zones));
                 }
@@ -128,7 +128,8 @@ impl Room {
             drop(ends);
             let written = writing.join().map_err(|_| IngestError::Internal("the writer broke down".into()))?;
             match (built, written) {
-                (_, Err(error)) => Err(error.into()),
+                // Whoever is told to stop waits for no reader.
+                (_, Err(error)) => context.go_on().and(Err(error.into())),
                 (Err(error), Ok(_)) => Err(error),
                 (Ok(()), Ok(written)) => Ok(written),
             }

@@ -86,7 +86,7 @@ pub fn remove(
         let flip = Flip { scans_removed: doomed, ..joined(snapshot.site(), edits) };
         drop(snapshot);
         progress.stage(Stage::Commit, removed.points);
-        writer.commit(flip)?;
+        context.unless_cancelled(|stop| writer.commit_unless(flip, stop))?;
         removed.bytes_after = file_bytes(path);
         removed.seconds = begun.elapsed().as_secs_f64();
         Ok(removed)
@@ -172,7 +172,8 @@ pub fn set_visible(
         drop(snapshot);
         let names = changed.iter().map(|s| s.name.clone()).collect();
         if !changed.is_empty() {
-            writer.commit(Flip { scans_changed: changed, ..Flip::default() })?;
+            let flip = Flip { scans_changed: changed, ..Flip::default() };
+            context.unless_cancelled(|stop| writer.commit_unless(flip, stop))?;
         }
         Ok(names)
     })

@@ -268,6 +268,6 @@ fn fold(
     context.progress.stage(Stage::Commit, snapshot.scans().iter().map(|s| s.stored).sum());
     // A snapshot that is held keeps the log from being written back.
     drop(snapshot);
-    writer.commit(flip)?;
+    context.unless_cancelled(|stop| writer.commit_unless(flip, stop))?;
     Ok(())
 }

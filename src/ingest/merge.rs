@@ -207,6 +207,7 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
     merged.points = points;
     merged.scans = scans.iter().map(|s| s.name.clone()).collect();
     context.progress.stage(Stage::Commit, points);
-    writer.commit(Flip { scans_added: scans, ..flip })?;
+    let flip = Flip { scans_added: scans, ..flip };
+    context.unless_cancelled(|stop| writer.commit_unless(flip, stop))?;
     Ok(merged)
 }

@@ -2,6 +2,7 @@
 
 use super::error::{RowError, StoreError};
 use super::files::{has_journal, uri, wal_bytes};
+use super::interrupt::{is_busy, patiently};
 use super::rows::{SiteRow, load_site};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
@@ -30,7 +31,7 @@ const LOOKS: usize = 20;
 const TRY_AGAIN: Duration = Duration::from_millis(10);
 
 /// How long a first filling waits for a reader. Readers stay for moments; more than that, and hours of work would be lost.
-const PATIENCE_WITHOUT_LOG: Duration = Duration::from_secs(60);
+pub(super) const PATIENCE_WITHOUT_LOG: Duration = Duration::from_secs(60);
 
 /// What a connection is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,7 +99,7 @@ pub(super) fn leave_log(connection: &Connection) -> Result<bool, RowError> {
             }
             // Not as long as there is another connection.
             Ok(_) => {}
-            Err(e) if matches!(e.sqlite_error_code(), Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked)) => {}
+            Err(e) if is_busy(&e) => {}
             Err(e) => return Err(e.into()),
         }
         std::thread::sleep(TRY_AGAIN);
@@ -106,9 +107,11 @@ pub(super) fn leave_log(connection: &Connection) -> Result<bool, RowError> {
     Ok(false)
 }
 
-/// Back to the log.
-pub(super) fn enter_log(connection: &Connection) -> Result<(), RowError> {
-    let mode: String = connection.query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))?;
+/// Back to the log; waits for readers, unless `stop` says so.
+pub(super) fn enter_log(connection: &Connection, stop: &dyn Fn() -> bool) -> Result<(), RowError> {
+    const ENTER: &str = "PRAGMA journal_mode = WAL";
+    patiently(connection, PATIENCE_WITHOUT_LOG, stop, ENTER)?;
+    let mode: String = connection.query_row(ENTER, [], |row| row.get(0))?;
     connection.pragma_update(None, "cache_spill", true)?;
     connection.busy_timeout(PATIENCE)?;
     if mode == "wal" { Ok(()) } else { Err(RowError::Inconsistent("the file can't go back to its log".into())) }

@@ -1,13 +1,16 @@
-//! Ending what is one statement to SQLite and takes long.
+//! Ending what is one statement to SQLite and takes long, or waits for others.
 
 use super::error::RowError;
-use rusqlite::Connection;
+use rusqlite::{Connection, ErrorCode};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How often it is asked whether to go on.
 const ASK_EVERY: Duration = Duration::from_millis(20);
+
+/// Where SQLite gives up without waiting it is not asked again at once.
+const BETWEEN_TRIES: Duration = Duration::from_millis(5);
 
 /// Runs `work` on the connection; once `stop` says so, its statements end with an error, and change nothing.
 pub(super) fn unless<R>(
@@ -30,6 +33,32 @@ pub(super) fn unless<R>(
         drop(done);
         result
     })
+}
+
+/// Runs one statement that may have to wait for the locks of others, again and again, until they let it, `patience` is used
+/// up, or `stop` says so: the last two give the error that somebody has it locked. What has failed has changed nothing.
+pub(super) fn patiently(
+    connection: &Connection,
+    patience: Duration,
+    stop: &dyn Fn() -> bool,
+    statement: &str,
+) -> Result<(), RowError> {
+    let begun = Instant::now();
+    connection.busy_timeout(ASK_EVERY)?;
+    let result = loop {
+        match connection.execute_batch(statement) {
+            // SQLite itself does not end a wait before its time.
+            Err(e) if is_busy(&e) && begun.elapsed() < patience && !stop() => thread::sleep(BETWEEN_TRIES),
+            other => break other,
+        }
+    };
+    connection.busy_timeout(patience)?;
+    Ok(result?)
+}
+
+/// Has somebody else locked what is wanted?
+pub(super) fn is_busy(error: &rusqlite::Error) -> bool {
+    matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked))
 }
 
 #[cfg(test)]

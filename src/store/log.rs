@@ -11,7 +11,7 @@ use std::time::Duration;
 
 /// How long the writer waits for readers to let go of the log; they renew their transactions several times in this
 /// time, unless a flip has overtaken them.
-const WAIT_FOR_READERS: Duration = Duration::from_millis(600);
+pub(super) const WAIT_FOR_READERS: Duration = Duration::from_millis(600);
 
 /// In which log the row of the site was last written, and which was the log before: random numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -395,6 +395,38 @@ fn readers_of_a_store_that_is_first_filled_are_never_refused() {
 }
 
 #[test]
+fn who_waits_for_a_reader_ends_when_told_and_the_store_is_as_it_was() {
+    // A reader of another program that keeps its lock made Ctrl-C wait for a minute, and the end of the writer for another.
+    for at_flip in [true, false] {
+        let (_folder, path) = folder();
+        let store = Store::create(&path, options()).unwrap();
+        let mut writer = store.writer().unwrap();
+        writer.expect_many().unwrap();
+        let change = prepare(&mut writer, some_points(3000), &[]);
+        let reader = Connection::open(&path).unwrap();
+        reader.execute_batch("BEGIN; SELECT * FROM site").unwrap();
+        let begun = Instant::now();
+        let stop = || begun.elapsed() > Duration::from_millis(100);
+        let error = if at_flip {
+            writer.commit_unless(change, &stop).unwrap_err()
+        } else {
+            let base = writer.chunk_ids().reserve(1);
+            let cube = crate::lattice::Cube::containing(crate::lattice::LatticePoint::default(), 9);
+            let row = |part: i64| ChunkRow::new(base + part, (0, cube), 0, 0, 1, vec![0; 9 << 20]);
+            writer.put_chunks_unless(&[row(0), row(1), row(2)], &stop).unwrap_err()
+        };
+        assert!(matches!(error, StoreError::Busy { .. }), "{error:?}");
+        drop(writer);
+        assert!(begun.elapsed() < Duration::from_secs(4), "{:?}", begun.elapsed());
+        drop(reader);
+        assert_eq!(store.snapshot().unwrap().generation(), 0);
+        // Nobody in the way, nothing to stop for.
+        replace(&store, some_points(2000));
+        assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(2000)));
+    }
+}
+
+#[test]
 fn who_has_an_empty_store_open_keeps_it_while_it_is_filled() {
     let (_folder, path) = folder();
     let store = Store::create(&path, options()).unwrap();

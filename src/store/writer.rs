@@ -8,7 +8,7 @@ use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
 use super::files::{self, remove_spills, wal_bytes};
 use super::flip::{Flip, flip};
-use super::interrupt::unless;
+use super::interrupt::{patiently, unless};
 use super::lock::WriterLock;
 use super::log::{self, Checkpoint};
 use super::model::{FIRST_ATTRIBUTE, SLOT_PACKED, SLOT_STRIDE, ScanId, Site, Slot, StoredAttribute};
@@ -21,6 +21,7 @@ use rusqlite::Connection;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::Duration;
 
 /// Bytes of chunks in one transaction.
 const TRANSACTION_BYTES: u64 = 16 << 20;
@@ -234,7 +235,20 @@ impl Writer {
     ///
     /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`]; the writer can then only be dropped.
     pub fn put_chunks<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
-        let result = self.try_put(chunks);
+        self.put_chunks_unless(chunks, &|| false)
+    }
+
+    /// As [`Writer::put_chunks`]; waits for nobody once `stop` says so.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::put_chunks`], and [`StoreError::Busy`] if it was stopped while it waited.
+    pub fn put_chunks_unless<'a>(
+        &mut self,
+        chunks: impl IntoIterator<Item = &'a ChunkRow>,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<(), StoreError> {
+        let result = self.try_put(chunks, stop);
         if result.is_err() {
             self.failed = true;
             self.roll_back();
@@ -242,7 +256,12 @@ impl Writer {
         result
     }
 
-    fn try_put<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
+    fn try_put<'a>(
+        &mut self,
+        chunks: impl IntoIterator<Item = &'a ChunkRow>,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<(), StoreError> {
+        let patience = self.patience();
         let mut pending = self.pending_bytes;
         // A log may end anywhere after a crash; in the file itself the order of writes matters.
         let begin = match self.without_log {
@@ -258,7 +277,7 @@ impl Writer {
                 let mut bytes = match pending {
                     Some(bytes) => bytes,
                     None => {
-                        c.execute_batch(begin)?;
+                        patiently(c, patience, stop, begin)?;
                         0
                     }
                 };
@@ -267,7 +286,7 @@ impl Writer {
                     rows::put_chunk(c, chunk)?;
                     bytes += chunk.bytes.len() as u64;
                 }
-                c.execute_batch("COMMIT")?;
+                patiently(c, patience, stop, "COMMIT")?;
                 Ok(None)
             });
             pending = bytes?;
@@ -287,12 +306,22 @@ impl Writer {
     /// [`StoreError::Inconsistent`] if the change contradicts itself or what is stored, [`StoreError::Full`] and others
     /// if it can't be written: the store is then as it was.
     pub fn commit(&mut self, change: Flip) -> Result<Committed, StoreError> {
+        self.commit_unless(change, &|| false)
+    }
+
+    /// As [`Writer::commit`]; waits for nobody once `stop` says so.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::commit`], and [`StoreError::Busy`] if it was stopped while it waited.
+    pub fn commit_unless(&mut self, change: Flip, stop: &dyn Fn() -> bool) -> Result<Committed, StoreError> {
+        let patience = self.patience();
         if self.failed {
             let what = "a write failed before".into();
             return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
         }
         if self.pending_bytes.take().is_some()
-            && let Err(e) = self.run(|c| Ok(c.execute_batch("COMMIT")?))
+            && let Err(e) = self.run(|c| patiently(c, patience, stop, "COMMIT"))
         {
             self.failed = true;
             self.roll_back();
@@ -300,14 +329,17 @@ impl Writer {
         }
         if self.without_log {
             // A journal is only beside a store without a commit: so one that a deleted store left is known for what it is.
-            self.run(connection::enter_log)?;
+            if let Err(e) = self.run(|c| connection::enter_log(c, stop)) {
+                self.failed = true;
+                return Err(e);
+            }
             self.without_log = false;
             self.begins_log = true;
         }
         self.begin_log()?;
         let base = SiteRow { next_chunk: self.ids.next(), next_scan: self.next_scan, ..self.site.clone() };
         let site = self.run(|c| {
-            c.execute_batch("PRAGMA synchronous = FULL; BEGIN IMMEDIATE")?;
+            patiently(c, connection::PATIENCE, stop, "PRAGMA synchronous = FULL; BEGIN IMMEDIATE")?;
             let done = flip(c, &base, &self.attributes, change).and_then(|site| {
                 c.execute_batch("COMMIT")?;
                 Ok(site)
@@ -417,6 +449,11 @@ impl Writer {
         }
     }
 
+    /// How long others are waited for.
+    fn patience(&self) -> Duration {
+        if self.without_log { connection::PATIENCE_WITHOUT_LOG } else { connection::PATIENCE }
+    }
+
     fn roll_back(&mut self) {
         self.pending_bytes = None;
         let _ = self.run(|c| if c.is_autocommit() { Ok(()) } else { Ok(c.execute_batch("ROLLBACK")?) });
@@ -510,7 +547,8 @@ impl Writer {
 impl Drop for Writer {
     fn drop(&mut self) {
         self.roll_back();
-        // Best effort: what stays is removed by the next writer.
+        // Best effort, which keeps nobody waiting: what stays is removed by the next writer.
+        let _ = self.run(|c| Ok(c.busy_timeout(log::WAIT_FOR_READERS)?));
         if self.ids.next() > self.site.next_chunk {
             let removed = self.remove_unreferenced();
             if removed.is_ok_and(|n| n > 0) {

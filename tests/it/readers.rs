@@ -2,7 +2,7 @@
 //! waits for the writer.
 
 use crate::support::{Random, TinyLas, esker, esker_ok};
-use esker::ingest::{IngestOptions, LatticeWish, Resources, compact, ingest, remove};
+use esker::ingest::{IngestError, IngestOptions, LatticeWish, Progress, Resources, Stage, compact, ingest, remove};
 use esker::query::{Query, Region};
 use esker::store::Store;
 use std::collections::BTreeMap;
@@ -177,6 +177,46 @@ fn readers_see_committed_generations_while_scans_come_and_go() {
     println!("{} answers; 99 of 100 snapshots within {slow:?}", asked.load(Ordering::Relaxed));
     assert!(asked.load(Ordering::Relaxed) > 40, "hardly anybody looked");
     esker_ok(&["verify", store.to_str().unwrap(), "--deep"]);
+}
+
+/// Another program takes to reading just before the commit, and soon somebody wants the ingest to end.
+struct ReaderInTheWay<'a> {
+    store: &'a Path,
+    reader: Mutex<Option<(rusqlite::Connection, Instant)>>,
+}
+
+impl Progress for ReaderInTheWay<'_> {
+    fn stage(&self, stage: Stage, _total: u64) {
+        if stage == Stage::Commit {
+            let reader = rusqlite::Connection::open(self.store).unwrap();
+            reader.execute_batch("BEGIN; SELECT * FROM site").unwrap();
+            *self.reader.lock().unwrap() = Some((reader, Instant::now()));
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        let reader = self.reader.lock().unwrap();
+        reader.as_ref().is_some_and(|(_, since)| since.elapsed() > Duration::from_millis(200))
+    }
+}
+
+#[test]
+fn a_first_ingest_that_waits_for_a_reader_can_be_interrupted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (las, store) = (folder.path().join("a.las"), folder.path().join("a.esker"));
+    let mut file = TinyLas::new(1);
+    (0..3000).for_each(|i| file.push([i * 7 % 4001, i * 31 % 2003, i % 97], i as u64));
+    fs::write(&las, file.bytes()).unwrap();
+    let progress = ReaderInTheWay { store: &store, reader: Mutex::new(None) };
+    let begun = Instant::now();
+    let error = ingest(&store, &[las.clone()], &IngestOptions::default(), &progress).unwrap_err();
+    assert!(matches!(error, IngestError::Interrupted), "{error:?}");
+    assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", begun.elapsed());
+    // It began with no store, and leaves none.
+    assert!(!store.exists());
+    drop(progress);
+    ingest(&store, &[las], &IngestOptions::default(), &()).unwrap();
+    esker_ok(&["verify", store.to_str().unwrap()]);
 }
 
 /// The log of an ingest of 2.9 GB beside a reader that keeps looking: with the sweeps.

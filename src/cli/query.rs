@@ -5,6 +5,7 @@ use super::{Outcome, output, values};
 use crate::export::{self, ExportOptions, Exported, Target};
 use crate::formats::OutputFormat;
 use crate::geometry::Camera;
+use crate::points::Number;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
 use crate::store::{Limits, Snapshot, Store, WorldBounds};
 use anyhow::{Context, bail};
@@ -313,7 +314,7 @@ fn print_summary(answer: &Answer, summary: &[AttributeSummary]) -> std::io::Resu
         return Ok(());
     }
     output::line(format_args!("{:32} {:>18} {:>18} {:>18} {:>14}", "attribute", "min", "max", "mean", "values"))?;
-    let number = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), |v| format!("{v}"));
+    let number = |v: Option<Number>| v.map_or_else(|| "-".to_owned(), |v| v.to_string());
     for a in summary {
         output::line(format_args!(
             "{:32} {:>18} {:>18} {:>18} {:>14}",

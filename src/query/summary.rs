@@ -6,7 +6,7 @@
 use super::plan::Plan;
 use super::{Answer, Query, QueryError};
 use crate::lattice::{BIAS, Lattice};
-use crate::points::{Attribute, Batch, Column};
+use crate::points::{Attribute, Batch, Column, Number, ScalarType};
 use crate::store::Snapshot;
 use crate::store::model::{ScanId, StoredAttribute};
 use crate::with_column;
@@ -24,10 +24,10 @@ pub struct AttributeSummary {
     pub ty: &'static str,
     /// Points with a value: not null, and not NaN.
     pub count: u64,
-    /// The least value; an extra byte's is scaled.
-    pub min: Option<f64>,
+    /// The least value; an extra byte's is scaled, a whole one exact.
+    pub min: Option<Number>,
     /// The greatest value.
-    pub max: Option<f64>,
+    pub max: Option<Number>,
     /// The mean.
     pub mean: Option<f64>,
 }
@@ -73,7 +73,7 @@ struct Form {
 /// The statistics of some points.
 struct Summary {
     axes: [Axis; 3],
-    columns: Vec<Running>,
+    columns: Vec<Values>,
 }
 
 impl Form {
@@ -87,7 +87,7 @@ impl Form {
     }
 
     fn empty(&self) -> Summary {
-        Summary { axes: [Axis::EMPTY; 3], columns: vec![Running::EMPTY; self.attributes.len()] }
+        Summary { axes: [Axis::EMPTY; 3], columns: vec![Values::EMPTY; self.attributes.len()] }
     }
 
     /// Of a batch; it has its scans if some scan lacks an attribute.
@@ -97,13 +97,22 @@ impl Form {
         // One of the types is f64 already.
         #[allow(clippy::unnecessary_cast)]
         let column = |((attribute, having), column): (&(Attribute, Option<Vec<ScanId>>), &Column)| {
-            let running = if having.is_none() && attribute.no_data.is_none() {
-                with_column!(column, v => Running::of(v.len(), |i| v[i] as f64))
-            } else {
-                let there = not_null(attribute, having.as_deref(), column, &batch.scans);
-                with_column!(column, v => Running::of(there.len(), |i| v[there[i]] as f64))
+            let there = match having.is_none() && attribute.no_data.is_none() {
+                true => None,
+                false => Some(not_null(attribute, having.as_deref(), column, &batch.scans)),
             };
-            attribute.scaling.map_or(running, |s| running.scaled(s.scale, s.offset))
+            let count = there.as_ref().map_or(column.len(), Vec::len);
+            let at = |i: usize| there.as_ref().map_or(i, |there| there[i]);
+            let running = match &there {
+                None => with_column!(column, v => Running::of(count, |i| v[i] as f64)),
+                Some(there) => with_column!(column, v => Running::of(count, |i| v[there[i]] as f64)),
+            };
+            match (attribute.scaling, column) {
+                (Some(s), _) => Values { running: running.scaled(s.scale, s.offset), whole: None },
+                (None, Column::U64(v)) => Values { running, whole: ends((0..count).map(|i| v[at(i)].into())) },
+                (None, Column::I64(v)) => Values { running, whole: ends((0..count).map(|i| v[at(i)].into())) },
+                _ => Values { running, whole: None },
+            }
         };
         Summary { axes, columns: self.attributes.iter().zip(&batch.columns).map(column).collect() }
     }
@@ -115,7 +124,7 @@ impl Form {
             running.summary(["X", "Y", "Z"][axis], "coordinate")
         });
         let attributes = self.attributes.iter().zip(&summary.columns);
-        axes.chain(attributes.map(|((a, _), running)| running.summary(&a.name, a.ty.word()))).collect()
+        axes.chain(attributes.map(|((a, _), values)| values.summary(a))).collect()
     }
 }
 
@@ -185,6 +194,41 @@ impl Axis {
     }
 }
 
+/// The least and the greatest.
+fn ends(values: impl Iterator<Item = i128>) -> Option<[i128; 2]> {
+    values.fold(None, |ends, v| Some(ends.map_or([v, v], |[a, b]: [i128; 2]| [a.min(v), b.max(v)])))
+}
+
+/// The values of an attribute.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Values {
+    running: Running,
+    /// The ends of values that are whole and may have more digits than an f64.
+    whole: Option<[i128; 2]>,
+}
+
+impl Values {
+    const EMPTY: Self = Self { running: Running::EMPTY, whole: None };
+
+    fn add(&mut self, next: &Self) {
+        self.running.add(&next.running);
+        self.whole = ends(self.whole.into_iter().chain(next.whole).flatten());
+    }
+
+    fn summary(&self, attribute: &Attribute) -> AttributeSummary {
+        let summary = self.running.summary(&attribute.name, attribute.ty.word());
+        if attribute.scaling.is_some() || attribute.ty.is_float() {
+            return summary;
+        }
+        let signed = matches!(attribute.ty, ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64);
+        let number = |v: i128| if signed { Number::Signed(v as i64) } else { Number::Unsigned(v as u64) };
+        let short = |v: Option<Number>| v.map(|v| v.to_f64() as i128);
+        let (min, max) = (short(summary.min), short(summary.max));
+        let [min, max] = self.whole.map_or([min, max], |ends| ends.map(Some)).map(|v| v.map(number));
+        AttributeSummary { min, max, ..summary }
+    }
+}
+
 /// A mean that neither overflows nor loses small numbers after many.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Running {
@@ -242,7 +286,8 @@ impl Running {
 
     fn summary(&self, name: &str, ty: &'static str) -> AttributeSummary {
         let some = |v: f64| (self.count > 0 && v.is_finite()).then_some(v);
-        let (min, max, mean) = (some(self.min), some(self.max), some(self.mean));
+        let (min, max) = (some(self.min).map(Number::Float), some(self.max).map(Number::Float));
+        let mean = some(self.mean);
         AttributeSummary { name: name.into(), ty, count: self.count, min, max, mean }
     }
 }
@@ -269,13 +314,35 @@ mod tests {
         let mut summary = form.empty();
         summary.add(&form.of(&Batch { attributes: attributes.into(), positions, scans: vec![7, 7, 7, 5], columns }));
         let found = form.finish(&summary);
-        let numbers = |i: usize| (found[i].count, found[i].min, found[i].max, found[i].mean);
+        let short = |v: Option<Number>| v.map(Number::to_f64);
+        let numbers = |i: usize| (found[i].count, short(found[i].min), short(found[i].max), found[i].mean);
         assert_eq!(numbers(0), (4, Some(0.0), Some(0.75), Some(0.375)));
         assert_eq!(numbers(3), (2, Some(3.0), Some(5.0), Some(4.0)));
         assert_eq!(numbers(4), (3, Some(1.0), Some(8.0), Some(4.0)));
         assert_eq!(found[3].ty, "i16");
         let none = form.finish(&form.empty());
         assert_eq!((none[0].count, none[0].mean), (0, None));
+    }
+
+    #[test]
+    fn whole_numbers_keep_all_their_digits() {
+        // They went through f64: 2^53 + 1 was told as 2^53.
+        let mut there = Attribute::new("id", ScalarType::U64);
+        there.no_data = Some(7_u64.to_le_bytes());
+        let attributes = [there, Attribute::new("signed", ScalarType::I64), Attribute::new("small", ScalarType::I8)];
+        let stored: Vec<_> =
+            (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
+        let form = Form::new(&Lattice::uniform(0.25).unwrap(), &stored, |_| None);
+        let mut summary = form.empty();
+        for [id, signed, small] in [[(1 << 53) + 1, i64::MIN + 1, -3], [7, i64::MAX, 100], [1 << 60, 0, 0]] {
+            let positions = [LatticePoint([BIAS as u64; 3])].into_iter().collect();
+            let columns = vec![Column::U64(vec![id as u64]), Column::I64(vec![signed]), Column::I8(vec![small as i8])];
+            summary.add(&form.of(&Batch { attributes: attributes.clone().into(), positions, scans: vec![], columns }));
+        }
+        let text = |s: &AttributeSummary| format!("{} {}", s.min.unwrap(), s.max.unwrap());
+        let found: Vec<_> = form.finish(&summary)[3..].iter().map(text).collect();
+        let all = ["9007199254740993 1152921504606846976", "-9223372036854775807 9223372036854775807", "-3 100"];
+        assert_eq!(found, all);
     }
 
     #[test]
@@ -288,7 +355,8 @@ mod tests {
         assert!(both.mean.abs() < f64::MAX * 1e-12, "{both:?}");
         // Infinite values have no mean, and the least is told.
         let infinite = of(&[1.0, f64::INFINITY, 3.0]).summary("a", "f64");
-        assert_eq!((infinite.count, infinite.min, infinite.max, infinite.mean), (3, Some(1.0), None, None));
+        let told = (infinite.count, infinite.min, infinite.max, infinite.mean);
+        assert_eq!(told, (3, Some(Number::Float(1.0)), None, None));
         assert_eq!(of(&[f64::NAN; 9]), Running::EMPTY);
     }
 

@@ -5,7 +5,7 @@ use super::info::info;
 use super::model::{Range, Scan, Slot, Zones};
 use super::snapshot::Snapshot;
 use crate::lattice::{BITS, Decimal, Lattice, LatticeBox, LatticePoint};
-use crate::points::Attribute;
+use crate::points::{Attribute, Number};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -93,10 +93,10 @@ pub struct AttributeCost {
     pub ty: &'static str,
     /// Bytes of its encoded columns.
     pub bytes: u64,
-    /// The least and the greatest value, scaled, NaN left out; `None` where the zone maps cannot tell: of positions, and of
+    /// The least and the greatest value, scaled, whole ones exactly, NaN left out; `None` where the zone maps cannot tell: of positions, and of
     /// attributes that have a value for "no data".
     #[serde(rename = "min_max", skip_serializing_if = "Option::is_none")]
-    pub range: Option<[f64; 2]>,
+    pub range: Option<[Number; 2]>,
 }
 
 /// A scan of a store.
@@ -146,19 +146,20 @@ pub struct RejectedDescription {
 }
 
 /// The scaled range of an attribute over all layers.
-fn range_of(slot: Slot, attribute: &Attribute, zones: &[Arc<Zones>]) -> Option<[f64; 2]> {
+fn range_of(slot: Slot, attribute: &Attribute, zones: &[Arc<Zones>]) -> Option<[Number; 2]> {
     let of_layer = |zones: &Arc<Zones>| {
         let found = zones.subtree.binary_search_by_key(&slot, |z| z.0).ok()?;
-        let [a, b] = match zones.subtree[found].1 {
-            Range::Unsigned(a, b) => [a as f64, b as f64],
-            Range::Signed(a, b) => [a as f64, b as f64],
-            Range::Float(a, b) => [a, b],
-            Range::OnlyNan => return None,
-        };
-        let [a, b] = attribute.scaling.map_or([a, b], |s| [a, b].map(|v| v * s.scale + s.offset));
-        Some([a.min(b), a.max(b)])
+        Some(zones.subtree[found].1)
     };
-    zones.iter().filter_map(of_layer).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+    let ends = match zones.iter().filter_map(of_layer).reduce(Range::union)? {
+        Range::Unsigned(a, b) => [a, b].map(Number::Unsigned),
+        Range::Signed(a, b) => [a, b].map(Number::Signed),
+        Range::Float(a, b) => [a, b].map(Number::Float),
+        Range::OnlyNan => return None,
+    };
+    let Some(scaling) = attribute.scaling else { return Some(ends) };
+    let [a, b] = ends.map(|v| v.to_f64() * scaling.scale + scaling.offset);
+    Some([a.min(b), a.max(b)].map(Number::Float))
 }
 
 /// Describes a store; reads its index, no points.
@@ -229,5 +230,31 @@ impl ScanDescription {
             visible: scan.visible,
             time: scan.time,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::points::{ScalarType, Scaling};
+
+    #[test]
+    fn ranges_of_whole_numbers_keep_all_their_digits() {
+        // They went through f64: 2^53 + 1 was told as 2^53.
+        let zones = |slot, range| Arc::new(Zones { subtree: vec![(slot, range)], ..Zones::default() });
+        let layers = [
+            zones(3, Range::Unsigned((1 << 53) + 1, 1 << 60)),
+            zones(3, Range::Unsigned(1 << 60, u64::MAX)),
+            zones(4, Range::Signed(i64::MIN + 1, -1)),
+        ];
+        let range = |slot, ty, scaling| {
+            let attribute = Attribute { scaling, ..Attribute::new("id", ty) };
+            range_of(slot, &attribute, &layers).map(|range| serde_json::to_string(&range).unwrap())
+        };
+        assert_eq!(range(3, ScalarType::U64, None).unwrap(), "[9007199254740993,18446744073709551615]");
+        assert_eq!(range(4, ScalarType::I64, None).unwrap(), "[-9223372036854775807,-1]");
+        let down = Some(Scaling { scale: -1.0, offset: 0.5 });
+        assert_eq!(range(4, ScalarType::I64, down).unwrap(), "[1.5,9.223372036854776e+18]");
+        assert_eq!(range(5, ScalarType::U8, None), None);
     }
 }

@@ -82,7 +82,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let target = target.transpose()?;
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
-    let query = arguments.which.query(arguments.which.region(&snapshot)?)?;
+    let query = arguments.which.query(arguments.which.region(&snapshot)?, &snapshot)?;
     let density = query.density(&snapshot, arguments.side)?;
     if let Some((path, format)) = target {
         if format == Format::Asc && density.counts.is_empty() {

@@ -71,7 +71,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let places = places(arguments)?;
     let store = Store::open_with(&arguments.store, Limits::default())?;
     let snapshot = store.snapshot()?;
-    let query = with_attributes(arguments.which.query(arguments.which.region(&snapshot)?)?, &arguments.attributes);
+    let query =
+        with_attributes(arguments.which.query(arguments.which.region(&snapshot)?, &snapshot)?, &arguments.attributes);
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let query = query.with_scans(planned.meeting.needs_scans());

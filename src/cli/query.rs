@@ -182,7 +182,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
-    let query = query(arguments, region.clone())?;
+    let query = query(arguments, region.clone(), &snapshot)?;
     if let Some(which) = arguments.explain {
         let explanation = query.explain(&snapshot)?;
         warn(arguments, &snapshot, &region, &explanation.answer)?;
@@ -248,8 +248,8 @@ pub(super) fn format(path: &Path, given: Option<Format>) -> anyhow::Result<Outpu
     })
 }
 
-fn query(arguments: &Arguments, region: Region) -> anyhow::Result<Query> {
-    let mut query = arguments.which.query(region)?;
+fn query(arguments: &Arguments, region: Region, snapshot: &Snapshot) -> anyhow::Result<Query> {
+    let mut query = arguments.which.query(region, snapshot)?;
     if let Some(path) = &arguments.view {
         let camera = read_view(path)?;
         query = query.view(camera, arguments.max_error_px);

@@ -25,10 +25,16 @@ impl Which {
     }
 
     /// The points in `region`, by a query that Ctrl-C ends.
-    pub fn query(&self, region: Region) -> anyhow::Result<Query> {
+    pub fn query(&self, region: Region, snapshot: &Snapshot) -> anyhow::Result<Query> {
         let mut query = Query::new().region(region).cancel(&cancelled_by_interrupt());
         if let Some(text) = &self.filter {
-            query = query.filter(Filter::parse(text)?);
+            let filter = Filter::parse(text)?;
+            for name in filter.ambiguous_names(snapshot) {
+                let text =
+                    format!("{name} is taken as the coordinate; the attribute of that name is written \"{name}\"");
+                eprintln!("esker: {text}, in double quotes");
+            }
+            query = query.filter(filter);
         }
         if !self.scans.is_empty() {
             query = query.scans(self.scans.iter().cloned());

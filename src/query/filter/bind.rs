@@ -86,6 +86,13 @@ pub(super) fn bind(text: &str, expression: &Expression, names: &Names) -> Result
             bind(text, &Expression::Compare(a.clone(), *relation, literal, b.at), names)
         }
         Expression::Pair(a, relation, b) => {
+            if let Some(name) = [a, b].into_iter().find(|name| axis(name, names).is_some()) {
+                let attribute = attributes_named(&name.name, names.attributes);
+                let quote =
+                    if attribute.is_empty() { "" } else { "; the attribute of that name is written in double quotes" };
+                let message = format!("a coordinate is compared with numbers, not with another column{quote}");
+                return Err(FilterError::new(message, text, name.at));
+            }
             Ok(Bound::Pair(sources(text, a, names)?, *relation, sources(text, b, names)?))
         }
     }
@@ -118,11 +125,39 @@ fn number(text: &str, literal: &Literal, at: usize) -> Result<Decimal, FilterErr
     }
 }
 
-/// 0, 1, 2 for `X`, `Y`, `Z`, unless there is an attribute of that name.
+/// 0, 1, 2 for `X`, `Y`, `Z`, unless it is in quotes and there is an attribute of that name.
 fn axis(name: &Name, names: &Names) -> Option<usize> {
     let axis = ["x", "y", "z"].iter().position(|a| name.name.eq_ignore_ascii_case(a))?;
-    let taken = names.attributes.iter().any(|a| same_name(&a.attribute.name, &name.name));
-    (!taken && !name.raw).then_some(axis)
+    let is_attribute = name.raw || (name.quoted && !attributes_named(&name.name, names.attributes).is_empty());
+    (!is_attribute).then_some(axis)
+}
+
+/// The names of coordinates that some attribute has, too, as they are written.
+pub(super) fn ambiguous<'e>(expression: &'e Expression, names: &Names) -> Vec<&'e str> {
+    let mut found = Vec::new();
+    let mut open = vec![expression];
+    while let Some(expression) = open.pop() {
+        let written: &[&Name] = match expression {
+            Expression::And(terms) | Expression::Or(terms) => {
+                open.extend(terms);
+                &[]
+            }
+            Expression::Not(inner) => {
+                open.push(inner);
+                &[]
+            }
+            Expression::Compare(name, ..)
+            | Expression::Between(name, ..)
+            | Expression::In(name, _)
+            | Expression::IsNull(name) => &[name],
+            Expression::Pair(a, _, b) => &[a, b],
+        };
+        let is_both = |n: &&&Name| axis(n, names).is_some() && !attributes_named(&n.name, names.attributes).is_empty();
+        found.extend(written.iter().filter(is_both).map(|n| n.name.as_str()));
+    }
+    found.sort_unstable();
+    found.dedup();
+    found
 }
 
 fn values(text: &str, name: &Name, set: &DecimalSet, names: &Names) -> Result<Bound, FilterError> {

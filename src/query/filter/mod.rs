@@ -10,7 +10,8 @@
 //! Logic is SQL's, with three values: a comparison with null is unknown, and only what is true matches. An attribute is
 //! null where the point's scan lacks it and where it holds its no-data value. A comparison with NaN is unknown too, so NaN
 //! matches neither a comparison nor its negation; it is not null. Integers of any size are compared exactly; extra bytes
-//! of integer type by their scaled value in exact decimals, floats as f64. `X`, `Y`, `Z` are the exact coordinates.
+//! of integer type by their scaled value in exact decimals, floats as f64. `X`, `Y`, `Z` are the exact coordinates;
+//! an attribute of such a name is written in double quotes.
 
 mod bind;
 mod eval;
@@ -23,6 +24,7 @@ mod zones;
 
 use super::block::Block;
 use super::mask::Mask;
+use crate::store::Snapshot;
 use crate::store::model::Slot;
 use bind::Bound;
 pub(crate) use bind::{Names, attributes_named};
@@ -86,6 +88,13 @@ impl Filter {
     /// [`FilterError`] with the place of the first character that does not fit.
     pub fn parse(text: &str) -> Result<Self, FilterError> {
         Ok(Self { text: text.into(), expression: parser::parse(text)? })
+    }
+
+    /// Names in it, `x` say, that mean a coordinate though the store has an attribute that is called so, too; that one is
+    /// written in double quotes, `"x"`.
+    pub fn ambiguous_names(&self, snapshot: &Snapshot) -> Vec<&str> {
+        let (attributes, scans, lattice) = (snapshot.attributes(), snapshot.scans(), &snapshot.site().lattice);
+        bind::ambiguous(&self.expression, &Names { attributes, scans, lattice })
     }
 
     /// The filter on the columns of one store.

@@ -272,3 +272,29 @@ fn unknown_names_are_pointed_at_with_the_nearest_one() {
     assert!(error("class = 'ground'").message().contains("numbers"));
     assert!(error("scan is null").message().contains("scans"));
 }
+
+#[test]
+fn coordinates_keep_their_names_and_attributes_called_so_are_quoted() {
+    // An extra byte called x took the coordinate's place.
+    let (scans, lattice) = (scans(), Lattice::uniform(0.25).unwrap());
+    let mut attributes = attributes();
+    attributes.push(StoredAttribute { id: 8, attribute: Attribute::new("x", ScalarType::U8) });
+    let names = Names { attributes: &attributes, scans: &scans, lattice: &lattice };
+    let slots = |text: &str| {
+        let filter = Filter::parse(text).unwrap().bind(&names).unwrap();
+        (filter.slots(), filter.needs_positions())
+    };
+    assert_eq!(slots("x > 1 or X in (2, 3)"), (vec![], true));
+    for attribute in ["\"x\" > 1", "`X` between 1 and 2", "raw(x) = 1", "\"x\" is null", "\"x\" = class"] {
+        assert!(slots(attribute).0.contains(&8) && !slots(attribute).1, "{attribute}");
+    }
+    // In quotes it is the coordinate where no attribute has its name.
+    assert_eq!(slots("\"y\" > 1"), (vec![], true));
+    let told = |text: &str| bind::ambiguous(&Filter::parse(text).unwrap().expression, &names).join(",");
+    assert_eq!(told("not (x > 1 and class = 2) or X < 7"), "X,x");
+    assert_eq!(told("\"x\" > 1 and y > 1 and raw(x) = 1"), "");
+    let compared = Filter::parse("x > class").unwrap().bind(&names).unwrap_err();
+    assert!(compared.message().contains("double quotes") && compared.at() == 0, "{compared}");
+    let compared = Filter::parse("class = y").unwrap().bind(&names).unwrap_err();
+    assert!(compared.message().contains("coordinate") && !compared.message().contains("quotes"), "{compared}");
+}

@@ -334,3 +334,12 @@ fn a_count_of_points_that_cannot_be_is_refused_with_its_file() {
         place.nothing_there("s.esker");
     }
 }
+
+#[test]
+fn a_heading_that_names_an_axis_twice_is_told_with_its_columns() {
+    let place = Place::new();
+    let csv = place.write("a.csv", b"X,Y,Z,Intensity,x\n1,2,3,4,5\n6,7,8,9,10\n");
+    let store = place.path("a.esker");
+    esker_fails(&["ingest", &store, &csv], 1, &["line 1", "columns 1 and 5", "--columns"]);
+    esker_ok(&["ingest", &store, &csv, "--columns", "x,y,z,Intensity,dx"]);
+}

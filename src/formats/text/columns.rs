@@ -89,6 +89,15 @@ pub fn axes(roles: &[Role]) -> Option<[usize; 3]> {
     Some([found[0]?, found[1]?, found[2]?])
 }
 
+/// Two columns that are both x, both y or both z: their numbers from 1, and which.
+pub fn twice(roles: &[Role]) -> Option<(usize, usize, &'static str)> {
+    let second = |i: &usize| matches!(roles[*i], Role::Axis(_)) && roles[..*i].contains(&roles[*i]);
+    let b = (0..roles.len()).find(second)?;
+    let Role::Axis(axis) = roles[b] else { return None };
+    let a = roles.iter().position(|role| *role == roles[b])?;
+    Some((a + 1, b + 1, ["x", "y", "z"][axis]))
+}
+
 /// What the columns of rows without names are, after x, y and z.
 pub fn guess(columns: &[Column]) -> Vec<Role> {
     let byte = |i: usize| columns[i].within(0.0, 255.0);

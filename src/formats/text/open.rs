@@ -1,6 +1,6 @@
 //! Text files opened: where the rows are, what the columns are called.
 
-use super::columns::{Kinds, Role, axes, guess, named, roles};
+use super::columns::{Kinds, Role, axes, guess, named, roles, twice};
 use super::lines::Lines;
 use super::number::parse;
 use super::sections::{Section, pts, ptx};
@@ -57,7 +57,12 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
         let named_axes = own.is_some() || columns.is_some();
         if header.is_some() && own.is_none() || !named_axes {
             let shown = quoted(&bytes.trim_ascii()[..bytes.trim_ascii().len().min(60)]);
-            let expected = "a row of numbers, or a line that names x, y and z (--columns names them otherwise)";
+            let expected = match names(bytes).and_then(|names| twice(&roles(&names))) {
+                Some((a, b, axis)) => format!(
+                    "names of which one is {axis}: columns {a} and {b} both are (--columns names them otherwise, `-` leaves one out)"
+                ),
+                None => "a row of numbers, or a line that names x, y and z (--columns names them otherwise)".to_owned(),
+            };
             return Err(file.malformed_line(offset, expected, shown));
         }
         header = own.or_else(|| names(bytes)).or(Some(Vec::new()));

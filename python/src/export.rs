@@ -74,7 +74,6 @@ pub fn export(
         error => Failure::from(error).into(),
     })?;
     let mut report = serde_json::to_value(&done.answer).map_err(|e| misuse(e.to_string()))?;
-    let file = |(path, points): &(PathBuf, u64)| serde_json::json!({ "path": path, "points": points });
-    report["outputs"] = done.files.iter().map(file).collect();
+    report["outputs"] = serde_json::to_value(&done.files).map_err(|e| misuse(e.to_string()))?;
     Ok((report.to_string(), done.notes))
 }

@@ -2,7 +2,7 @@
 
 use super::which::{Which, with_attributes};
 use super::{Outcome, output, values};
-use crate::export::{self, ExportOptions, Exported, Target};
+use crate::export::{self, ExportOptions, Exported, PartOf, Target, Written};
 use crate::formats::OutputFormat;
 use crate::geometry::Camera;
 use crate::points::Number;
@@ -358,17 +358,22 @@ fn report(arguments: &Arguments, path: &Path, answer: &Answer) -> anyhow::Result
     Ok(())
 }
 
-fn report_files(arguments: &Arguments, files: &[(PathBuf, u64)], answer: &Answer) -> anyhow::Result<()> {
+fn report_files(arguments: &Arguments, files: &[Written], answer: &Answer) -> anyhow::Result<()> {
     if arguments.json {
         let mut value = serde_json::to_value(answer)?;
-        let file =
-            |(path, points): &(PathBuf, u64)| serde_json::json!({"path": path.display().to_string(), "points": points});
-        value["outputs"] = files.iter().map(file).collect();
+        value["outputs"] = serde_json::to_value(files)?;
         return Ok(output::json(&value)?);
     }
-    for (path, points) in files {
-        output::line(format_args!("{}: {} points", path.display(), output::grouped(*points)))?;
+    for Written { path, points, part } in files {
+        // A scan's name may have what the name of a file cannot have.
+        let of = match part {
+            Some(PartOf::Scan(name)) => format!(" of scan {}", output::clean(name)),
+            Some(PartOf::Class(class)) => format!(" of class {class}"),
+            None => String::new(),
+        };
+        output::line(format_args!("{}: {}{of}", path.display(), output::counted(*points, "point")))?;
     }
-    output::line(format_args!("{} points in all, error bound {}", output::grouped(answer.points), bound(answer)))?;
+    let all = output::counted(answer.points, "point");
+    output::line(format_args!("{all} in all, error bound {}", bound(answer)))?;
     Ok(())
 }

@@ -16,6 +16,7 @@ use crate::points::{Attribute, Batch};
 use crate::query::{Answer, Query};
 use crate::store::Snapshot;
 use frame::ScanFrame;
+use serde::Serialize;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -68,10 +69,32 @@ pub struct ExportOptions {
 pub struct Exported {
     /// The answer's report.
     pub answer: Answer,
-    /// The files and their points; none for the standard output.
-    pub files: Vec<(PathBuf, u64)>,
+    /// The files; none for the standard output.
+    pub files: Vec<Written>,
     /// What a user should know of them.
     pub notes: Vec<String>,
+}
+
+/// A file that was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Written {
+    /// The file.
+    pub path: PathBuf,
+    /// Its points.
+    pub points: u64,
+    /// What it holds of an answer that was split.
+    #[serde(flatten)]
+    pub part: Option<PartOf>,
+}
+
+/// Which part of an answer a file holds.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PartOf {
+    /// The points of the scan of this name, which its file's name need not spell.
+    Scan(String),
+    /// The points of a class.
+    Class(u64),
 }
 
 /// The form of a file by what its name ends in.
@@ -103,7 +126,7 @@ pub fn format_of(path: &Path) -> Result<OutputFormat, ExportError> {
 /// let path = folder.join("low.laz");
 /// let low = Query::new().filter(Filter::parse("Z < 10")?);
 /// let done = export(&store.snapshot()?, &low, Target::File(&path), &ExportOptions::default(), |_| {})?;
-/// assert_eq!(done.files, [(path, done.answer.points)]);
+/// assert_eq!((&done.files[0].path, done.files[0].points), (&path, done.answer.points));
 /// # std::fs::remove_dir_all(&folder)?;
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -163,7 +186,7 @@ fn write(
     }
     notes.extend(writer.finish()?);
     let files = match target {
-        Target::File(path) => vec![(path.into(), answer.points)],
+        Target::File(path) => vec![Written { path: path.into(), points: answer.points, part: None }],
         Target::StandardOutput => Vec::new(),
     };
     Ok(Exported { answer, files, notes })

@@ -1,6 +1,6 @@
 //! One pass over the answer, a file per scan or per class.
 
-use super::{ExportError, ExportOptions, Exported, Shape, SplitBy, Target, begin};
+use super::{ExportError, ExportOptions, Exported, PartOf, Shape, SplitBy, Target, Written, begin};
 use crate::formats::{OutputFormat, PointWriter};
 use crate::points::{Batch, Column};
 use crate::query::Query;
@@ -53,10 +53,10 @@ pub(super) fn split(
         return Err(error);
     }
     let (mut written, mut notes) = (Vec::new(), Vec::new());
-    for (_, Part { path, writer, points, shape, .. }) in files.parts {
+    for Part { path, of, writer, points, shape, .. } in files.parts.into_values() {
         notes.extend(shape.planned.notes);
         notes.extend(writer.finish()?);
-        written.push((path, points));
+        written.push(Written { path, points, part: Some(of) });
     }
     Ok(Exported { answer, files: written, notes })
 }
@@ -76,6 +76,7 @@ struct Files<'a> {
 /// A file that is being written.
 struct Part {
     path: PathBuf,
+    of: PartOf,
     writer: Box<dyn PointWriter>,
     points: u64,
     /// Which columns of the answer it has.
@@ -99,13 +100,14 @@ impl Files<'_> {
         if self.parts.len() >= MOST_FILES {
             return Err(ExportError::TooManyFiles { most: MOST_FILES });
         }
-        let (name, one) = match self.by {
-            SplitBy::Class => (format!("class{key}"), self.query.clone()),
+        let (name, one, of) = match self.by {
+            SplitBy::Class => (format!("class{key}"), self.query.clone(), PartOf::Class(key)),
             SplitBy::Scan => {
                 let id = key as u32;
                 let scan = self.snapshot.scan(id).ok_or(ExportError::NoScan(id))?;
                 let fit = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-                (scan.name.chars().map(fit).collect(), self.query.clone().scans([id.to_string()]))
+                let name = scan.name.chars().map(fit).collect();
+                (name, self.query.clone().scans([id.to_string()]), PartOf::Scan(scan.name.clone()))
             }
         };
         let stem = self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -119,7 +121,7 @@ impl Files<'_> {
         let all = self.query.output_form(self.snapshot)?.attributes;
         let columns = shape.attributes.iter().filter_map(|a| all.iter().position(|b| a.identity() == b.identity()));
         let columns = columns.collect();
-        Ok(Part { path, writer, points: 0, columns, shape })
+        Ok(Part { path, of, writer, points: 0, columns, shape })
     }
 }
 

@@ -115,3 +115,35 @@ fn colours_in_fields_of_8_and_of_16_bits_are_one_column_in_every_form() {
     let near = esker_ok(&["nearest", &store, "--at", "2,0,0", "--attributes", "Red"]);
     assert!(near.contains("65535") && !near.contains("Red.2"), "{near}");
 }
+
+#[test]
+fn files_of_a_split_answer_tell_which_scan_or_class_they_hold() {
+    // Names that a file cannot have became one name and a number, and nothing said which was which.
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = path("site.esker");
+    for (i, name) in ["a/b", "a:b"].into_iter().enumerate() {
+        let csv = path("in.csv");
+        fs::write(&csv, (0..=i).map(|n| format!("{n} {i} 0\n")).collect::<String>()).unwrap();
+        esker_ok(&["ingest", &store, &csv, "--name", name, "--columns", "x,y,z"]);
+    }
+    let split = ["query", &store, "--split-by", "scan", "-o", &path("out.csv"), "--force"];
+    let words = esker_ok(&split);
+    let json: serde_json::Value = serde_json::from_str(&esker_ok(&[&split[..], &["--json"]].concat())).unwrap();
+    let outputs = json["outputs"].as_array().unwrap();
+    assert_eq!(outputs.len(), 2, "{json}");
+    for (scan, points, count) in [("a/b", 1, "1 point"), ("a:b", 2, "2 points")] {
+        let told = outputs.iter().find(|o| o["scan"] == scan).unwrap();
+        let file = told["path"].as_str().unwrap();
+        assert_eq!(told["points"], points);
+        assert_eq!(fs::read_to_string(file).unwrap().lines().count(), points + 1);
+        assert!(words.lines().any(|l| l == format!("{file}: {count} of scan {scan}")), "{words}");
+    }
+    esker_ok(&["generate", "terrain", "--points", "2000", "-o", &path("t.las")]);
+    esker_ok(&["ingest", &path("t.esker"), &path("t.las")]);
+    let classes = ["query", &path("t.esker"), "--split-by", "class", "-o", &path("c.las"), "--json"];
+    let json: serde_json::Value = serde_json::from_str(&esker_ok(&classes)).unwrap();
+    for told in json["outputs"].as_array().unwrap() {
+        assert!(told["path"].as_str().unwrap().ends_with(&format!("c_class{}.las", told["class"])), "{told}");
+    }
+}

@@ -42,7 +42,42 @@ struct Square {
     highest: u64,
 }
 
-type Squares = HashMap<[i64; 2], Square>;
+/// Squares that have points, and the least grid that they span.
+#[derive(Debug, Default)]
+struct Squares {
+    full: HashMap<[i64; 2], Square>,
+    /// The numbers of the first and the last square on each axis.
+    span: Option<[[i64; 2]; 2]>,
+}
+
+impl Squares {
+    fn add(&mut self, at: [i64; 2], more: Square) {
+        let [first, last] = self.span.unwrap_or([at, at]);
+        self.span = Some([[0, 1].map(|i| first[i].min(at[i])), [0, 1].map(|i| last[i].max(at[i]))]);
+        self.full
+            .entry(at)
+            .and_modify(|square| {
+                square.points += more.points;
+                square.lowest = square.lowest.min(more.lowest);
+                square.highest = square.highest.max(more.highest);
+            })
+            .or_insert(more);
+    }
+
+    /// Squares on each axis, with none left out.
+    fn size(&self) -> [u64; 2] {
+        self.span.map_or([0; 2], |[first, last]| [0, 1].map(|i| last[i].abs_diff(first[i]).saturating_add(1)))
+    }
+
+    /// An error once the grid is too large: points come coarse to fine, so that is known soon and not when all are read.
+    fn check(&self, side: f64) -> Result<(), QueryError> {
+        let [across, up] = self.size();
+        match across.saturating_mul(up) {
+            ..=MOST_SQUARES => Ok(()),
+            _ => Err(refused(side, "larger: there would be more than 2^28 squares")),
+        }
+    }
+}
 
 /// One axis in integers: `floor(coordinate / side) = floor((index * quantum + origin) / side)`.
 #[derive(Clone, Copy, Debug)]
@@ -109,17 +144,6 @@ fn refused(side: f64, expected: &'static str) -> QueryError {
     QueryError::Detail { what: "side of a square", value: side, expected }
 }
 
-fn add(squares: &mut Squares, at: [i64; 2], more: Square) {
-    squares
-        .entry(at)
-        .and_modify(|square| {
-            square.points += more.points;
-            square.lowest = square.lowest.min(more.lowest);
-            square.highest = square.highest.max(more.highest);
-        })
-        .or_insert(more);
-}
-
 impl Query {
     /// Counts the matching points in squares of this side.
     ///
@@ -143,24 +167,21 @@ impl Query {
         for window in parts.chunks(plan.window()) {
             let read = plan.each(window.to_vec(), |(node, part)| plan.squares_of(node, part, &grid))?;
             for one in read {
-                one.into_iter().for_each(|(at, square)| add(&mut squares, at, square));
+                one.full.into_iter().for_each(|(at, square)| squares.add(at, square));
+                squares.check(side)?;
             }
         }
-        let (Some(first), Some(last)) = (corner(&squares, i64::min), corner(&squares, i64::max)) else {
+        let Some([first, _]) = squares.span else {
             let statistics = plan.finish(super::Answer::default()).statistics;
             let none = Vec::new;
             let (counts, lowest, highest) = (Vec::new(), none(), none());
             return Ok(Density { side, first: [0; 2], size: [0; 2], counts, lowest, highest, statistics });
         };
-        let size: [u64; 2] = std::array::from_fn(|i| last[i].abs_diff(first[i]).saturating_add(1));
-        if size[0].saturating_mul(size[1]) > MOST_SQUARES {
-            return Err(refused(side, "larger: there would be more than 2^28 squares"));
-        }
-        let size = size.map(|n| n as usize);
+        let size = squares.size().map(|n| n as usize);
         let mut counts = vec![0; size[0] * size[1]];
         let mut lowest = vec![f64::NAN; counts.len()];
         let mut highest = lowest.clone();
-        for (at, square) in squares {
+        for (at, square) in squares.full {
             let i = (at[1] - first[1]) as usize * size[0] + (at[0] - first[0]) as usize;
             counts[i] = square.points;
             lowest[i] = plan.lattice.world_on_axis(2, square.lowest);
@@ -171,27 +192,24 @@ impl Query {
     }
 }
 
-fn corner(squares: &Squares, choose: fn(i64, i64) -> i64) -> Option<[i64; 2]> {
-    squares.keys().copied().reduce(|a, b| [choose(a[0], b[0]), choose(a[1], b[1])])
-}
-
 impl Plan {
     /// What the rows say, and the parts that must be read.
     fn by_rows(&self, grid: &Grid) -> Result<(Squares, Vec<(NodeIx, usize)>), QueryError> {
-        let mut squares = Squares::new();
+        let mut squares = Squares::default();
         let mut parts = Vec::new();
         let heights = |points: u64, b: &LatticeBox| Square { points, lowest: b.min.0[2], highest: b.max.0[2] };
         self.walk(|node| {
             if let Some(at) = grid.around(&node.subtree_bounds)?
                 && self.prospect(node, Scope::Subtree)? == Prospect::Everything
             {
-                add(&mut squares, at, heights(node.subtree_points, &node.subtree_bounds));
+                squares.add(at, heights(node.subtree_points, &node.subtree_bounds));
+                squares.check(grid.side)?;
                 return Ok(false);
             }
             let (Some(bounds), own) = (&node.own_bounds, self.prospect(node, Scope::Own)?) else { return Ok(true) };
             match (own, grid.around(bounds)?) {
                 (Prospect::Nothing, _) => {}
-                (Prospect::Everything, Some(at)) => add(&mut squares, at, heights(node.own_points, bounds)),
+                (Prospect::Everything, Some(at)) => squares.add(at, heights(node.own_points, bounds)),
                 _ => {
                     Meter::add(&self.meter.nodes, 1);
                     parts.extend((0..node.parts.len()).map(|part| (node.ix(), part)));
@@ -206,11 +224,11 @@ impl Plan {
     fn squares_of(&self, node: NodeIx, part: usize, grid: &Grid) -> Result<Squares, QueryError> {
         self.cancel.check()?;
         let outside = |bounds: &LatticeBox| self.region.classify(bounds) == Containment::Outside;
-        let mut squares = Squares::new();
+        let mut squares = Squares::default();
         for found in Part::at(self, node, part)?.find(&Look { skips: &outside, misses: false, positions: true })? {
             for i in found.mask.indices() {
                 let [x, y, z] = found.content.positions.point(i as usize).0;
-                add(&mut squares, grid.square(x, y)?, Square { points: 1, lowest: z, highest: z });
+                squares.add(grid.square(x, y)?, Square { points: 1, lowest: z, highest: z });
             }
         }
         Ok(squares)
@@ -220,6 +238,23 @@ impl Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// All squares were gathered before their number was looked at: gigabytes, for a side in millimetres by mistake.
+    #[test]
+    fn a_grid_that_is_too_large_is_refused_at_the_first_points_that_show_it() {
+        let square = Square { points: 1, lowest: 0, highest: 0 };
+        let mut squares = Squares::default();
+        for at in [[0, 0], [-7, 3], [1 << 20, 0]] {
+            squares.add(at, square);
+            squares.check(0.5).unwrap();
+        }
+        assert_eq!((squares.size(), squares.full.len()), ([(1 << 20) + 8, 4], 3));
+        squares.add([0, -252], square);
+        let refused = squares.check(0.5).unwrap_err().to_string();
+        assert!(refused.contains("2^28") && refused.contains("0.5"), "{refused}");
+        squares.add([i64::MIN, i64::MAX], square);
+        assert!(squares.check(0.5).is_err());
+    }
 
     /// Division of floats put 0.3 into square 2 of side 0.1.
     #[test]

@@ -2,6 +2,7 @@
 
 use super::{Outcome, output, values};
 use crate::generate::{GenerateOptions, Kind, generate};
+use anyhow::bail;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -22,9 +23,9 @@ pub(super) struct Arguments {
     /// Another seed makes another model.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Scans of a site.
-    #[arg(long, value_name = "N", default_value_t = GenerateOptions::default().scans)]
-    scans: u32,
+    /// Scans of a site (default: 5).
+    #[arg(long, value_name = "N")]
+    scans: Option<u32>,
     /// Write the scans of a site as LAZ.
     #[arg(long)]
     laz: bool,
@@ -44,7 +45,17 @@ fn kind(word: &str) -> Result<Kind, String> {
 }
 
 pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
-    let options = GenerateOptions { force: arguments.force, scans: arguments.scans, laz: arguments.laz };
+    let is_site = arguments.kind == Kind::Site;
+    if !is_site && (arguments.scans.is_some() || arguments.laz) {
+        let option = if arguments.laz { "--laz" } else { "--scans" };
+        bail!("{option} is for a site; another model is one file, LAS or LAZ as its name ends");
+    }
+    let ending = arguments.output.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
+    if is_site && matches!(ending.as_str(), "las" | "laz") && !arguments.output.is_dir() {
+        bail!("{}: a site is a folder of files; give the name of a folder", arguments.output.display());
+    }
+    let scans = arguments.scans.unwrap_or(GenerateOptions::default().scans);
+    let options = GenerateOptions { force: arguments.force, scans, laz: arguments.laz };
     let report =
         generate(arguments.kind, arguments.points, arguments.seed, &arguments.output, &options, &mut |_| true)?;
     for note in &report.notes {

@@ -45,7 +45,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "VIEW.json")]
     view: Option<PathBuf>,
     /// For --view: stop where spacing is below so many pixels.
-    #[arg(long, value_name = "PX", default_value = "1", value_parser = values::not_negative)]
+    #[arg(long, value_name = "PX", default_value = "1", value_parser = values::not_negative, requires = "view")]
     max_error_px: f64,
     /// For --view: how points are spread: `screen`, the largest error in pixels first, or `distance`, ratios that fall with
     /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.

@@ -336,6 +336,27 @@ fn a_count_of_points_that_cannot_be_is_refused_with_its_file() {
 }
 
 #[test]
+fn options_without_effect_are_refused() {
+    let place = Place::new();
+    let store = place.store(1000);
+    let (las, png) = (place.path("x.las"), place.path("x.png"));
+    let torus = ["generate", "torus", "--points", "10", "-o", &las];
+    esker_fails(&[&torus[..], &["--scans", "3"]].concat(), 1, &["--scans", "site"]);
+    esker_fails(&[&torus[..], &["--laz"]].concat(), 1, &["--laz", "site"]);
+    esker_fails(&["generate", "site", "--points", "10", "-o", &las], 1, &["x.las", "folder"]);
+    assert!(!fs::exists(&las).unwrap());
+    esker_fails(&["query", &store, "--max-error-px", "2"], 2, &["--view"]);
+    esker_fails(&["query", &store, "--policy", "distance"], 2, &["--view"]);
+    if cfg!(feature = "render") {
+        let render = ["render", &store, "-o", &png];
+        esker_fails(&[&render[..], &["--min-px", "50", "--max-px", "5"]].concat(), 1, &["--min-px 50", "--max-px 5"]);
+        let ranged = [&render[..], &["--color", "class", "--range", "0,5"]].concat();
+        esker_fails(&ranged, 1, &["--range", "class"]);
+        assert!(!fs::exists(&png).unwrap());
+    }
+}
+
+#[test]
 fn a_heading_that_names_an_axis_twice_is_told_with_its_columns() {
     let place = Place::new();
     let csv = place.write("a.csv", b"X,Y,Z,Intensity,x\n1,2,3,4,5\n6,7,8,9,10\n");

@@ -227,6 +227,9 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
     if mode != arguments.color {
         eprintln!("esker: the points have no {} to show; shown by {}", arguments.color.word(), mode.word());
     }
+    if arguments.range.is_some() && !mode.has_range() {
+        bail!("--range is for colours by intensity, height or time, not by {}", mode.word());
+    }
     let scans = || snapshot.scans().iter();
     let options = ColorOptions {
         mode,

@@ -62,9 +62,14 @@ impl Look {
     ///
     /// # Errors
     ///
-    /// If a box has no volume.
+    /// If a box has no volume, or the least diameter is above the greatest.
     pub fn options(&self) -> anyhow::Result<RenderOptions> {
         let base = RenderOptions::default();
+        if let (Some(least), Some(most)) = (self.min_px, self.max_px)
+            && least > most
+        {
+            anyhow::bail!("--min-px {least} is more than --max-px {most}");
+        }
         let clip = |corners: &Corners, keep| -> anyhow::Result<ClipBox> {
             let [min, max] = corners.0.map(|corner| corner.map(|c| c.clamp(-FARTHEST, FARTHEST)));
             let bounds = WorldBox::new(min, max).ok_or_else(|| anyhow::anyhow!("a clip box ends before it begins"))?;

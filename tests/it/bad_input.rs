@@ -364,3 +364,27 @@ fn a_heading_that_names_an_axis_twice_is_told_with_its_columns() {
     esker_fails(&["ingest", &store, &csv], 1, &["line 1", "columns 1 and 5", "--columns"]);
     esker_ok(&["ingest", &store, &csv, "--columns", "x,y,z,Intensity,dx"]);
 }
+
+#[cfg(unix)]
+#[test]
+fn a_link_that_leads_nowhere_is_not_waited_for() {
+    // With --wait the program asked again for ever.
+    let place = Place::new();
+    let (las, link) = (place.las("a.las", 100), place.path("link.esker"));
+    std::os::unix::fs::symlink(place.path("nowhere.esker"), &link).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["ingest", &link, &las, "--wait"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let begun = std::time::Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if begun.elapsed() > std::time::Duration::from_secs(20) {
+            child.kill().unwrap();
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("link.esker"), "{output:?}");
+}

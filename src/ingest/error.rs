@@ -25,6 +25,9 @@ pub enum IngestError {
     /// One name for several scans.
     #[error("--name names one scan; give one input of one scan with it")]
     NameOfMany,
+    /// A name without a character.
+    #[error("a scan's name can't be empty; leave --name out for the file's name")]
+    NoName,
     /// A scan of this name is there.
     #[error("the store has a scan named '{0}' from another source; give another --name")]
     NameTaken(String),

@@ -74,6 +74,9 @@ pub(super) fn open(
     stored: &[Scan],
     progress: &dyn Progress,
 ) -> Result<Sources, IngestError> {
+    if options.name.as_ref().is_some_and(|name| name.trim().is_empty()) {
+        return Err(IngestError::NoName);
+    }
     let listed = formats::list_inputs(inputs, options.recursive)?;
     let mut skipped: Vec<_> = listed
         .skipped
@@ -186,6 +189,9 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
         let (kept, index) = (kept.map_err(|_| lost())?, source.reader.info().index);
         let again = opened(kept)?.sources;
         source = again.into_iter().find(|s| s.reader.info().index == index).ok_or_else(lost)?;
+    }
+    if options.name.as_ref().is_some_and(|name| name.trim().is_empty()) {
+        return Err(IngestError::NoName);
     }
     source.name = options.name.clone().unwrap_or_else(|| old.name.clone());
     source.content = Some(content);

@@ -357,6 +357,19 @@ fn options_without_effect_are_refused() {
 }
 
 #[test]
+fn a_scan_has_a_name() {
+    let place = Place::new();
+    let (las, store) = (place.las("a.las", 100), place.path("a.esker"));
+    for name in ["", " "] {
+        esker_fails(&["ingest", &store, &las, "--name", name], 1, &["name", "empty"]);
+    }
+    assert!(!fs::exists(&store).unwrap());
+    esker_ok(&["ingest", &store, &las]);
+    esker_fails(&["replace", &store, "a", "--name", ""], 1, &["name", "empty"]);
+    esker_fails(&["replace", &store, "a", &las, "--name", ""], 1, &["name", "empty"]);
+}
+
+#[test]
 fn a_heading_that_names_an_axis_twice_is_told_with_its_columns() {
     let place = Place::new();
     let csv = place.write("a.csv", b"X,Y,Z,Intensity,x\n1,2,3,4,5\n6,7,8,9,10\n");

@@ -11,7 +11,7 @@ pub(super) struct Where {
     /// X0,Y0,X1,Y1 in plan or X0,Y0,Z0,X1,Y1,Z1.
     #[arg(long = "box", value_name = "NUMBERS", allow_hyphen_values = true)]
     boxes: Vec<String>,
-    /// Take points on the maximum faces of boxes, too.
+    /// Take points on the maximum faces of boxes, turned ones included, too.
     #[arg(long)]
     pub closed: bool,
     /// X,Y,Z,R.

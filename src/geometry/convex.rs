@@ -113,6 +113,13 @@ impl Convex {
         Self::new([0.0; 3], halves.to_vec()).filter(|_| small)
     }
 
+    /// The same with all its faces.
+    #[must_use]
+    pub fn closed(&self) -> Self {
+        let halves = self.halves.iter().map(|h| HalfSpace { open: false, ..*h }).collect();
+        Self { origin: self.origin, halves }
+    }
+
     /// What is subtracted from world coordinates.
     pub fn origin(&self) -> [f64; 3] {
         self.origin

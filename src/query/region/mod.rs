@@ -181,13 +181,14 @@ impl Region {
         Self::Not(Box::new(self))
     }
 
-    /// The same with the maximum faces of its boxes: a box is one lattice step larger where points can lie exactly on a face.
-    /// Other shapes, and boxes in an inverted region, stay as they are.
+    /// The same with the maximum faces of its boxes: a box is one lattice step larger where points can lie exactly on a face, a
+    /// turned one has all its faces. Other shapes, and boxes in an inverted region, stay as they are.
     #[must_use]
     pub fn closed_on(&self, lattice: &Lattice) -> Self {
         let each = |terms: &[Self]| terms.iter().map(|t| t.closed_on(lattice)).collect();
         let (min, max) = match self {
             Self::Box { min, max } => (*min, *max),
+            Self::Convex(convex) => return Self::Convex(convex.closed()),
             Self::All(terms) => return Self::All(each(terms)),
             Self::Any(terms) => return Self::Any(each(terms)),
             other => return other.clone(),

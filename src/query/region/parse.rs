@@ -318,6 +318,35 @@ mod tests {
         let cases = [
             ("", 1),
             ("box(1,2,3,4) box(1,2,3,4)", 14),
+    #[test]
+    fn closed_boxes_have_all_their_faces_turned_or_not() {
+        // --closed was without effect on --obox.
+        let lattice = crate::lattice::Lattice::uniform(0.5).unwrap();
+        let corner = lattice.lattice_from_world([10.0, 10.0, 10.0]).unwrap();
+        let beyond = lattice.lattice_from_world([10.0, 10.5, 10.0]).unwrap();
+        for text in ["box(0,0,0,10,10,10)", "obox(5,5,5,10,10,10,0)", "obox(5,5,5,10,10,10,90) and z(0,20)"] {
+            let region = Region::parse(text).unwrap();
+            let on = |region: &Region| region.on_lattice(&lattice).unwrap();
+            let (open, closed) = (on(&region), on(&region.closed_on(&lattice)));
+            assert!(!open.contains(corner) && closed.contains(corner), "{text}");
+            assert!(!closed.contains(beyond), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_area_or_no_file_is_told() {
+        let told = |text: &str| Region::parse_polygon(text, [0.0, 1.0]).unwrap_err().to_string();
+        for empty in ["", "  "] {
+            assert!(told(empty).contains("empty text") && told(empty).contains("GeoJSON"), "{}", told(empty));
+        }
+        let line = told("LINESTRING(0 0, 1 1)");
+        assert!(line.contains("found LINESTRING") && line.contains("expected POLYGON"), "{line}");
+        assert!(told("nope.wkt").starts_with("nope.wkt: neither WKT nor GeoJSON, and as a file it cannot be read: "));
+        let view = Region::read_frustum("nope.json").unwrap_err().to_string();
+        assert!(view.starts_with("nope.json: the view cannot be read: "), "{view}");
+        assert!(Region::parse_polygon(r#"{"type":"Polygon","coordinates":[]}"#, [0.0, 1.0]).is_ok());
+    }
+
             ("box(1,2,3,4) and", 17),
             ("box(1,2,3,4) and cube(1)", 18),
             ("(box(1,2,3,4)", 14),

@@ -33,7 +33,8 @@ fn regions_are_refused_with_the_place_and_the_reason() {
     refused(&["--z", "5,1"], &["z from 5 to 1"]);
     refused(&["--polygon", "POLYGON((0 0, 10 0, 10 x, 0 0))"], &["column 24", "\"x\""]);
     refused(&["--polygon", "POLYGON((0 0, 10 0, 10 10)"], &["column 27", "the end"]);
-    refused(&["--polygon", "POINT(1 2)"], &["POINT(1 2)", "neither WKT nor GeoJSON"]);
+    refused(&["--polygon", "POINT(1 2)"], &["column 1", "found POINT", "expected POLYGON"]);
+    refused(&["--polygon", ""], &["empty text", "GeoJSON"]);
     refused(&["--polygon", "POLYGON((0 0, 10 10, 10 0, 0 10, 0 0))"], &["crosses itself", "0 0 to 10 10"]);
     refused(&["--polygon", "POLYGON((0 0, 10 0, 5 5), (20 20, 21 20, 21 21))"], &["hole 1", "outside", "20 20"]);
     refused(&["--polygon", "POLYGON((0 0, 1 1))"], &["three are the least"]);

@@ -78,7 +78,10 @@ impl Region {
         if Polygons::looks_like_text(text_or_file) {
             return Self::new_prism(Polygons::parse(text_or_file)?, z);
         }
-        let text = read(text_or_file, "neither WKT nor GeoJSON, and as a file")?;
+        if text_or_file.trim().is_empty() {
+            return Err(refused("the polygon is an empty text; expected WKT, GeoJSON or the name of a file"));
+        }
+        let text = read(text_or_file, "neither WKT nor GeoJSON, and as a file it")?;
         let area = Polygons::parse(&text).map_err(|e| refused(format!("{text_or_file}: {e}")))?;
         Self::new_prism(area, z)
     }
@@ -117,7 +120,7 @@ fn refused(what: impl Into<String>) -> QueryError {
 }
 
 fn read(file: &str, what: &str) -> Result<String, QueryError> {
-    std::fs::read_to_string(Path::new(file)).map_err(|e| refused(format!("{file}: {what} it cannot be read: {e}")))
+    std::fs::read_to_string(Path::new(file)).map_err(|e| refused(format!("{file}: {what} cannot be read: {e}")))
 }
 
 fn numbers(text: &str) -> Result<Vec<f64>, QueryError> {
@@ -216,6 +219,7 @@ impl<'t> Parser<'t> {
         let is_text = match name.to_ascii_lowercase().as_str() {
             "polygon" => !after.starts_with('(') || after[1..].trim_start().starts_with('('),
             "multipolygon" | "geometrycollection" | "srid" => true,
+            "polygonz" | "polygonm" | "polygonzm" | "multipolygonz" | "multipolygonm" | "multipolygonzm" => true,
             _ => false,
         };
         if name.is_empty() {
@@ -305,6 +309,7 @@ mod tests {
         assert_eq!(of("NOT (z(0,inf) OR obox(1,1,1,2,2,2,45))"), "not (box-inf or convex6)");
         assert_eq!(of("polygon((0 0, 5 0, 5 5, 0 0), (1 0.5, 2 0.5, 2 1, 1 0.5)) and z(-1,1)"), "(prism5 and box-inf)");
         assert_eq!(of("MULTIPOLYGON Z (((0 0 1, 5 0 1, 5 5 1, 0 0 1)))"), "prism5");
+        assert_eq!(of("polygonz((0 0 1, 5 0 1, 5 5 1, 0 0 1)) and z(0,1)"), "(prism5 and box-inf)");
         assert_eq!(of("POLYGON EMPTY or SRID=7;POLYGON((0 0,6 0,6 6,0 0))"), "(prism-1 or prism6)");
         assert_eq!(of(&format!("polygon('{}')", plots.display())), "prism8");
         assert_eq!(
@@ -313,11 +318,6 @@ mod tests {
         );
     }
 
-    #[test]
-    fn errors_point_at_the_column() {
-        let cases = [
-            ("", 1),
-            ("box(1,2,3,4) box(1,2,3,4)", 14),
     #[test]
     fn closed_boxes_have_all_their_faces_turned_or_not() {
         // --closed was without effect on --obox.
@@ -347,6 +347,11 @@ mod tests {
         assert!(Region::parse_polygon(r#"{"type":"Polygon","coordinates":[]}"#, [0.0, 1.0]).is_ok());
     }
 
+    #[test]
+    fn errors_point_at_the_column() {
+        let cases = [
+            ("", 1),
+            ("box(1,2,3,4) box(1,2,3,4)", 14),
             ("box(1,2,3,4) and", 17),
             ("box(1,2,3,4) and cube(1)", 18),
             ("(box(1,2,3,4)", 14),

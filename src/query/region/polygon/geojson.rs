@@ -1,4 +1,5 @@
-//! Areas from GeoJSON: a geometry, a feature or a collection of features; all their polygons together.
+//! Areas from GeoJSON: a geometry, a feature or a collection of features; all their polygons together. Geometries may be
+//! empty, as in well-known text.
 
 use super::Rings;
 use ::geojson::{Error, Feature, GeoJson, Geometry, GeometryValue};
@@ -10,6 +11,14 @@ pub(super) fn parse(text: &str) -> Result<(Vec<Rings>, Option<u32>), String> {
         other => format!("is no GeoJSON: {other}"),
     })?;
     let mut polygons = Vec::new();
+    let features = match &read {
+        GeoJson::Geometry(_) => 1,
+        GeoJson::Feature(feature) => usize::from(feature.geometry.is_some()),
+        GeoJson::FeatureCollection(collection) => collection.features.iter().filter(|f| f.geometry.is_some()).count(),
+    };
+    if features == 0 {
+        return Err("holds no feature with a geometry".to_owned());
+    }
     let foreign = match read {
         GeoJson::Geometry(geometry) => {
             of_geometry(&geometry, &mut polygons)?;
@@ -36,9 +45,10 @@ fn of_feature(feature: &Feature, polygons: &mut Vec<Rings>) -> Result<(), String
 
 fn of_geometry(geometry: &Geometry, polygons: &mut Vec<Rings>) -> Result<(), String> {
     match &geometry.value {
+        GeometryValue::Polygon { coordinates } if coordinates.is_empty() => {}
         GeometryValue::Polygon { coordinates } => polygons.push(rings(coordinates)?),
         GeometryValue::MultiPolygon { coordinates } => {
-            for polygon in coordinates {
+            for polygon in coordinates.iter().filter(|polygon| !polygon.is_empty()) {
                 polygons.push(rings(polygon)?);
             }
         }
@@ -81,6 +91,26 @@ mod tests {
             parse(&format!(r#"{{"type":"GeometryCollection","geometries":[{multi}]}}"#)),
             Ok((vec![square], None))
         );
+    }
+
+    #[test]
+    fn empty_geometries_are_empty_areas() {
+        let empty = [
+            r#"{"type":"Polygon","coordinates":[]}"#,
+            r#"{"type":"MultiPolygon","coordinates":[]}"#,
+            r#"{"type":"GeometryCollection","geometries":[]}"#,
+        ];
+        for geometry in empty {
+            assert_eq!(parse(geometry), Ok((vec![], None)), "{geometry}");
+            let feature = format!(r#"{{"type":"Feature","properties":null,"geometry":{geometry}}}"#);
+            assert_eq!(parse(&feature), Ok((vec![], None)), "{feature}");
+        }
+        // But a layer without any feature is hardly meant.
+        for none in
+            [r#"{"type":"FeatureCollection","features":[]}"#, r#"{"type":"Feature","properties":null,"geometry":null}"#]
+        {
+            assert!(parse(none).unwrap_err().contains("no feature"), "{none}");
+        }
     }
 
     #[test]

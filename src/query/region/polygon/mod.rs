@@ -111,12 +111,9 @@ impl Polygons {
     ///
     /// # Errors
     ///
-    /// [`QueryError::Region`] for what is no GeoJSON, for geometries without area, and as [`Polygons::new`].
+    /// [`QueryError::Region`] for what is no GeoJSON, for geometries without area and collections without a feature, and as [`Polygons::new`].
     pub fn from_geojson(text: &str) -> Result<Self, QueryError> {
         let (polygons, epsg) = geojson::parse(text).map_err(|what| refused(format!("the text {what}")))?;
-        if polygons.is_empty() {
-            return Err(refused("the GeoJSON holds no polygon"));
-        }
         Ok(Self { epsg, ..Self::new(&polygons)? })
     }
 

@@ -171,7 +171,7 @@ fn wrong_polygons_are_refused_with_the_place() {
     assert!(wrong("POLYGON((0 0, 1 1, 0 0))").contains("2 different places"));
     assert!(wrong("POLYGON((0 0, 1e16 1, 0 5))").contains("1e15"));
     assert_eq!(wrong("POLYGON((0 0,\n 1 x, 0 5))"), "WKT, line 2 column 4: expected a number, found \"x\"");
-    assert!(wrong(r#"{"type":"FeatureCollection","features":[]}"#).contains("no polygon"));
+    assert!(wrong(r#"{"type":"FeatureCollection","features":[]}"#).contains("no feature"));
     assert!(Polygons::parse("POLYGON EMPTY").unwrap().bounds().is_none());
 }
 

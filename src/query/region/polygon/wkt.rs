@@ -37,9 +37,40 @@ pub(super) fn parse(text: &str) -> Result<(Vec<Rings>, Option<u32>), Malformed> 
 pub(super) fn looks_like(text: &str) -> bool {
     let word: String = text.trim_start().chars().take_while(char::is_ascii_alphabetic).collect();
     let rest = text.trim_start()[word.len()..].trim_start();
-    let known = ["POLYGON", "MULTIPOLYGON", "GEOMETRYCOLLECTION", "SRID"];
     let begins = rest.is_empty() || rest.starts_with(['(', '=']) || rest.starts_with(|c: char| c.is_ascii_alphabetic());
-    known.iter().any(|k| word.eq_ignore_ascii_case(k)) && begins
+    let word = untagged(word.to_ascii_uppercase());
+    if AREAS.contains(&&*word) || word == "SRID" {
+        return begins;
+    }
+    // What has no area is told so, unless it can be the name of a file.
+    let next: String = rest.chars().take_while(char::is_ascii_alphabetic).collect();
+    OTHERS.contains(&&*word)
+        && (rest.starts_with('(') || ["Z", "M", "ZM", "EMPTY"].iter().any(|t| next.eq_ignore_ascii_case(t)))
+}
+
+/// What is read.
+const AREAS: [&str; 3] = ["POLYGON", "MULTIPOLYGON", "GEOMETRYCOLLECTION"];
+/// What is not.
+const OTHERS: [&str; 13] = [
+    "POINT",
+    "MULTIPOINT",
+    "LINESTRING",
+    "MULTILINESTRING",
+    "CIRCULARSTRING",
+    "COMPOUNDCURVE",
+    "MULTICURVE",
+    "CURVEPOLYGON",
+    "MULTISURFACE",
+    "POLYHEDRALSURFACE",
+    "TIN",
+    "TRIANGLE",
+    "GEOMETRY",
+];
+
+/// The kind without the dimensions that some programs write in one word with it: `POLYGONZ`, `MULTIPOLYGONZM`.
+fn untagged(kind: String) -> String {
+    let known = |kind: &&str| AREAS.contains(kind) || OTHERS.contains(kind);
+    ["ZM", "Z", "M"].iter().find_map(|t| kind.strip_suffix(t).filter(known)).map_or(kind.clone(), str::to_owned)
 }
 
 /// How deep collections may nest.
@@ -114,7 +145,7 @@ impl Reader<'_> {
     fn geometry(&mut self, polygons: &mut Vec<Rings>, depth: usize) -> Result<(), Malformed> {
         self.skip_space();
         let start = self.at;
-        let kind = self.word();
+        let kind = untagged(self.word());
         if matches!(self.peek_word().as_str(), "Z" | "M" | "ZM") {
             self.word();
         }
@@ -129,14 +160,25 @@ impl Reader<'_> {
                 Ok(())
             }
             "MULTIPOLYGON" => self.list(|reader| {
-                polygons.push(reader.rings()?);
+                match reader.word_is("EMPTY") {
+                    true => drop(reader.word()),
+                    false => polygons.push(reader.rings()?),
+                }
                 Ok(())
             }),
             "GEOMETRYCOLLECTION" if depth < MAX_DEPTH => self.list(|reader| reader.geometry(polygons, depth + 1)),
             "GEOMETRYCOLLECTION" => Err(Malformed { at: start, message: "collections nest too deep".into() }),
-            "" => Err(Malformed { at: start, message: "expected POLYGON or MULTIPOLYGON".into() }),
+            "" => Err(Malformed {
+                at: start,
+                message: "expected POLYGON, MULTIPOLYGON or a GEOMETRYCOLLECTION of them".into(),
+            }),
             other => {
-                let message = format!("{other} has no area; expected POLYGON or MULTIPOLYGON");
+                let what = match OTHERS.contains(&other) {
+                    // Curved or in space, some of these have an area, but not one of straight edges in the plan.
+                    true => format!("found {other}, which is not an area with straight edges"),
+                    false => format!("found {other}"),
+                };
+                let message = format!("{what}; expected POLYGON, MULTIPOLYGON or a GEOMETRYCOLLECTION of them");
                 Err(Malformed { at: start, message })
             }
         }
@@ -225,6 +267,17 @@ mod tests {
         );
         assert_eq!(one("GEOMETRYCOLLECTION(POLYGON((0 0,1.5 0,1.5 -20,0 0)), POLYGON EMPTY)").0, vec![square]);
         assert_eq!(one("MULTIPOLYGON EMPTY"), (vec![], None));
+        // Empty members, and the dimensions in one word with the kind, as PostGIS and GEOS write them.
+        let square = one("POLYGON((0 0,1.5 0,1.5 -2e1,0 0))").0;
+        assert_eq!(one("MULTIPOLYGON(((0 0,1.5 0,1.5 -20,0 0)),EMPTY)").0, square);
+        assert_eq!(one("MULTIPOLYGON(EMPTY, ((0 0,1.5 0,1.5 -20,0 0)) )").0, square);
+        for tagged in
+            ["POLYGONZ((0 0 1,1.5 0 1,1.5 -20 1,0 0 1))", "polygonzm((0 0 1 2,1.5 0 1 2,1.5 -20 1 2,0 0 1 2))"]
+        {
+            assert_eq!(one(tagged).0, square, "{tagged}");
+            assert!(looks_like(tagged));
+        }
+        assert_eq!(one("MultiPolygonM(((0 0 1,1.5 0 1,1.5 -20 1,0 0 1)))").0, square);
     }
 
     #[test]
@@ -246,12 +299,16 @@ mod tests {
             let error = parse(text).expect_err(text);
             assert_eq!(error.at, at, "{text}: {}", error.message);
         }
+        let found = parse("LINESTRINGZ(0 0 1, 1 1 1)").unwrap_err().message;
+        assert!(found.contains("found LINESTRING,") && found.contains("expected POLYGON"), "{found}");
         assert!(parse(&"GEOMETRYCOLLECTION(".repeat(100_000)).is_err());
     }
 
     #[test]
     fn file_names_are_not_taken_for_text() {
         assert!(looks_like("polygon((0 0") && looks_like(" SRID=4326;POINT(1 1)") && looks_like("POLYGON Z ((1"));
+        assert!(looks_like("LINESTRING(0 0, 1 1)") && looks_like("point z (1 2 3)") && looks_like("PointZ(1 2 3)"));
+        assert!(!looks_like("point cloud.wkt") && !looks_like("points (1).wkt") && !looks_like("line.wkt"));
         assert!(!looks_like("polygon.geojson") && !looks_like("multipolygon_1.wkt") && !looks_like("site.wkt"));
     }
 }

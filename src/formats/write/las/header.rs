@@ -9,7 +9,7 @@ pub(super) const STANDARD_TIME: u16 = 1;
 pub(super) const INTERNAL_WAVEFORMS: u16 = 1 << 1;
 /// Global encoding: waveform packets are in a file beside this one.
 pub(super) const EXTERNAL_WAVEFORMS: u16 = 1 << 2;
-/// Global encoding: the CRS is WKT.
+/// Global encoding: the CRS is WKT, as formats 6 to 10 demand (specification 1.4, section 2.4, table 4).
 pub(super) const WKT: u16 = 1 << 4;
 /// Global encoding: GPS times have an offset of their own (LAS 1.5).
 pub(super) const TIME_OFFSET: u16 = 1 << 6;

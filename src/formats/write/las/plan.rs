@@ -156,11 +156,15 @@ pub(super) fn merged(
     }
     let mut vlrs = Vec::new();
     let mut global_encoding = if standard_time { STANDARD_TIME } else { 0 };
-    if let Some(written) = plan.crs.as_ref().and_then(|c| crs::vlrs(c, &mut notes)) {
-        if written.wkt {
-            global_encoding |= WKT;
+    match plan.crs.as_ref().and_then(|c| crs::vlrs(c, &mut notes)) {
+        Some(written) => {
+            if written.wkt {
+                global_encoding |= WKT;
+            }
+            vlrs.extend(written.vlrs);
         }
-        vlrs.extend(written.vlrs);
+        // Formats 6 and up have it in WKT, if they have one; PDAL refuses a file that says otherwise.
+        None => global_encoding |= WKT,
     }
     if !descriptors.is_empty() {
         if descriptors.len() > usize::from(u16::MAX) {

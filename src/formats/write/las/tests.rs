@@ -184,6 +184,22 @@ fn merged(attributes: Vec<Attribute>) -> OutputPlan {
     }
 }
 
+#[test]
+fn files_without_a_crs_say_that_it_would_be_wkt() {
+    // PDAL refuses files of formats 6 to 10 that don't.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.las");
+    let plan = OutputPlan { crs: None, ..merged(vec![]) };
+    write(&path, &plan, &[batch(&plan, &WORLDS, vec![])]).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    assert_eq!((bytes[104], u16::from_le_bytes([bytes[6], bytes[7]]) & 16), (6, 16));
+    // Keys are no WKT.
+    let keys = OutputPlan { crs: Some(Crs { horizontal_epsg: Some(25_832), ..Crs::default() }), ..merged(vec![]) };
+    let path = folder.path().join("b.las");
+    write(&path, &keys, &[batch(&keys, &WORLDS, vec![])]).unwrap();
+    assert_eq!(std::fs::read(&path).unwrap()[6] & 16, 0);
+}
+
 fn batch(plan: &OutputPlan, worlds: &[[f64; 3]], columns: Vec<Column>) -> Batch {
     let positions = worlds.iter().map(|w| plan.lattice.lattice_from_world(*w).unwrap()).collect();
     Batch { attributes: Arc::clone(&plan.attributes), positions, scans: Vec::new(), columns }

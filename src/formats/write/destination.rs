@@ -28,8 +28,11 @@ pub fn remove_unfinished() {
 /// Why a database is left alone: it may be the store that is being read, and its points are nowhere else.
 const DATABASE: &str = "is a database, such as a store; delete it first if its name is to be used";
 
-/// Is the file a database? No output replaces one.
+/// Is the file a database, or part of one? No output replaces it.
 pub fn is_database(path: &Path) -> bool {
+    if belongs_to_database(path) {
+        return true;
+    }
     // One that is open here is not opened again: closing it would end the locks that this process has on it.
     let mut shared_memory = path.as_os_str().to_owned();
     shared_memory.push("-shm");
@@ -39,6 +42,13 @@ pub fn is_database(path: &Path) -> bool {
     let mut head = [0; 16];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
     read.is_ok() && &head == b"SQLite format 3\0"
+}
+
+/// Is it, or would it be, the log, the journal, the index of the log or the lock of a database? It would be taken for that.
+fn belongs_to_database(path: &Path) -> bool {
+    let name = path.file_name().and_then(OsStr::to_str).unwrap_or("");
+    let owner = ["-wal", "-shm", "-journal", "-lock"].iter().find_map(|suffix| name.strip_suffix(suffix));
+    owner.is_some_and(|owner| !owner.is_empty() && is_database(&path.with_file_name(owner)))
 }
 
 /// A file without its final name. Dropped before [`Destination::finish`], it is deleted.
@@ -60,7 +70,14 @@ impl Destination {
             return Err(refuse("is a directory; give a file name"));
         }
         // Through a link, so that the link stays one.
-        let target = fs::canonicalize(path).unwrap_or_else(|_| path.into());
+        let target = match fs::canonicalize(path) {
+            Ok(target) => target,
+            Err(_) if path.is_symlink() => return Err(refuse("is a link that leads nowhere; remove it first")),
+            Err(_) => path.into(),
+        };
+        if belongs_to_database(&target) {
+            return Err(refuse("is the name of a file that belongs to a database, such as a store; give another name"));
+        }
         match fs::metadata(&target) {
             Ok(there) if there.is_dir() => return Err(refuse("is a directory; give a file name")),
             Ok(there) if !there.is_file() => {
@@ -228,6 +245,36 @@ mod tests {
         assert!(Destination::file(&file.join("a.las"), true).is_err());
         #[cfg(unix)]
         assert!(reason(Destination::file(Path::new("/dev/null"), true)).contains("not a regular file"));
+    }
+
+    #[test]
+    fn files_that_belong_to_a_store_are_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("a.esker"), b"SQLite format 3\0 and more").unwrap();
+        fs::write(path("a.esker-wal"), b"its log").unwrap();
+        // Those that are not there would be taken for the store's own, too.
+        for name in ["a.esker-wal", "a.esker-shm", "a.esker-journal", "a.esker-lock"] {
+            assert!(reason(Destination::file(&path(name), true)).contains("belongs to a database"), "{name}");
+            assert!(is_database(&path(name)), "{name}");
+        }
+        fs::write(path("b"), b"no database").unwrap();
+        for name in ["b-wal", "c.esker-wal", "-wal"] {
+            Destination::file(&path(name), true).unwrap();
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_that_leads_nowhere_is_refused_at_once() {
+        // It was found when all was written: somebody else was said to have created it.
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("a.las");
+        std::os::unix::fs::symlink(folder.path().join("nowhere"), &link).unwrap();
+        for force in [false, true] {
+            assert!(reason(Destination::file(&link, force)).contains("leads nowhere"));
+        }
+        assert!(link.is_symlink());
     }
 
     #[cfg(unix)]

@@ -47,9 +47,14 @@ impl Context<'_> {
 
     /// The store's one writer; waits for it if that is wished.
     pub fn writer(&self, store: &Store) -> Result<Writer, IngestError> {
+        self.when_free(|| store.writer())
+    }
+
+    /// What only one can have at a time; waits for it if that is wished.
+    pub fn when_free<R>(&self, take: impl Fn() -> Result<R, StoreError>) -> Result<R, IngestError> {
         let mut told = false;
         loop {
-            match store.writer() {
+            match take() {
                 Err(StoreError::InUse { .. }) if self.wait => {
                     if !told {
                         self.progress.say("the store is in use; waiting");

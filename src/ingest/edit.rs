@@ -12,7 +12,7 @@ use super::run::opened;
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
-use crate::store::{Digest, Flip, Store};
+use crate::store::{Digest, Flip, Store, WriterLock};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -203,9 +203,11 @@ pub fn compact(
             Ok(Compacted { layers, bytes_before, bytes_after, seconds: begun.elapsed().as_secs_f64() })
         });
     };
-    if copy.exists() {
-        return Err(IngestError::OutputThere(copy.to_owned()));
-    }
+    let free = || if copy.exists() { Err(IngestError::OutputThere(copy.to_owned())) } else { Ok(()) };
+    free()?;
+    // Held until the copy has its name: another one of that name would be written into the same file.
+    let _alone = Context::run(copy, resources, progress, |context| context.when_free(|| WriterLock::take(copy)))?;
+    free()?;
     // Under another name until it is whole.
     let unfinished = PathBuf::from(format!("{}.partial", copy.display()));
     let bytes_before = file_bytes(path);

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// Held by the one writer of a store.
 #[derive(Debug)]
-pub(super) struct WriterLock {
+pub(crate) struct WriterLock {
     file: File,
     path: PathBuf,
 }

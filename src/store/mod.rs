@@ -58,6 +58,7 @@ pub use flip::{Flip, NodeChange};
 pub use handle::{SiteOptions, Store};
 pub use index::{NodeIndex, NodeIx};
 pub use info::{Info, info};
+pub(crate) use lock::WriterLock;
 pub use nodes::{Children, Node, Nodes};
 pub use place::Limits;
 pub use rows::{ChunkRow, pack};

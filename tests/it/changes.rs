@@ -93,6 +93,16 @@ fn space_is_given_back() {
     assert!(bytes(&copy) <= 1.05 * bytes(&fresh), "{} in the copy, {} fresh", bytes(&copy), bytes(&fresh));
     assert_eq!(esker_ok(&["digest", &copy]), esker_ok(&["digest", &fresh]));
     esker_fails(&["compact", &store, "-o", &copy], 1, &["already"]);
+    // While somebody else makes a copy of that name: both would write one file.
+    let other = place.path("other.esker");
+    let lock = fs::File::create(format!("{other}-lock")).unwrap();
+    lock.lock().unwrap();
+    esker_fails(&["compact", &store, "-o", &other], 1, &["other.esker", "--wait"]);
+    assert!(!fs::exists(&other).unwrap());
+    drop(lock);
+    esker_ok(&["compact", &store, "-o", &other]);
+    assert_eq!(esker_ok(&["digest", &other]), esker_ok(&["digest", &fresh]));
+    assert!(!fs::exists(format!("{other}-lock")).unwrap());
     assert!(!fs::exists(place.path("copy.esker.partial")).unwrap());
 }
 

@@ -173,6 +173,9 @@ fn words(line: &str) -> Vec<&str> {
     }
 }
 
+/// How places are written.
+const HOW: &str = "all separated by commas, or by blanks, or by semicolons (commas are then decimal)";
+
 /// The first three numbers of a line.
 fn place(text: &str) -> anyhow::Result<[f64; 3]> {
     place_in(text, [0, 1, 2])
@@ -182,12 +185,12 @@ fn place_in(line: &str, columns: Columns) -> anyhow::Result<[f64; 3]> {
     let words = words(line);
     let mut place = [0.0; 3];
     for (value, column) in place.iter_mut().zip(columns) {
-        let word = *words.get(column).context("X, Y and Z are wanted")?;
+        let word = *words.get(column).with_context(|| format!("X, Y and Z are wanted, {HOW}"))?;
         // Between semicolons.
         let decimal = word.replace(',', ".");
         let number = decimal.parse().ok().filter(|v: &f64| v.is_finite());
         *value = number.with_context(|| match word.contains(char::is_whitespace) {
-            true => format!("'{word}' is no number; separate numbers by semicolons where commas are decimal"),
+            true => format!("'{word}' is no number; X, Y and Z are wanted, {HOW}"),
             false => format!("'{word}' is no number"),
         })?;
     }
@@ -205,7 +208,7 @@ mod tests {
         assert_eq!(read("X,Y,Z,Class\n1,-2.5,3e2,7\n\n# no place\n4,5,6,8\n"), expected);
         assert_eq!(read("1 -2.5 3e2\n4\t5\t6"), expected);
         assert_eq!(read("1; -2.5; 3e2\r\n4; 5; 6\r\n"), expected);
-        assert_eq!(read("1,2,3\n1,2\n"), Err("line 2: X, Y and Z are wanted".into()));
+        assert_eq!(read("1,2,3\n1,2\n"), Err(format!("line 2: X, Y and Z are wanted, {HOW}")));
         assert_eq!(read("1,2,3\n1,2,nan\n"), Err("line 2: 'nan' is no number".into()));
         assert_eq!(read("x y z\n"), Err("there are no places in it".into()));
     }
@@ -229,7 +232,16 @@ mod tests {
         assert_eq!(read("\u{feff}\"Z\"; X; Y\n3;1;2\n"), Ok(vec![[1.0, 2.0, 3.0]]));
         assert_eq!(read("id x y z\n7\t1 2 3\n"), Ok(vec![[1.0, 2.0, 3.0]]));
         assert_eq!(read("easting,northing,height\n1,2,3\n"), Ok(vec![[1.0, 2.0, 3.0]]));
-        assert_eq!(read("id,x,y,z\n7,1,2\n"), Err("line 2: X, Y and Z are wanted".into()));
+        assert_eq!(read("id,x,y,z\n7,1,2\n"), Err(format!("line 2: X, Y and Z are wanted, {HOW}")));
+    }
+
+    #[test]
+    fn separators_that_are_mixed_are_told_with_what_is_accepted() {
+        let read = |text: &str| read_places(text).map_err(|e| output::one_line(&e));
+        for (line, word) in [("1,2 3", "2 3"), ("1,2,3 note", "3 note")] {
+            let told = read(&format!("7,8,9\n{line}\n")).unwrap_err();
+            assert_eq!(told, format!("line 2: '{word}' is no number; X, Y and Z are wanted, {HOW}"));
+        }
     }
 
     /// `1,5;2,5;3,5` was read as 1, 5, 2.

@@ -135,7 +135,7 @@ fn report(arguments: &Arguments, density: &Density, to_stdout: bool) -> anyhow::
         let [across, up] = density.size;
         output::line(format_args!("points       {}", output::grouped(points)))?;
         output::line(format_args!("squares      {across} x {up}, {} of them with points", output::grouped(full)))?;
-        output::line(format_args!("fullest      {} points", output::grouped(most)))?;
+        output::line(format_args!("fullest      {}", output::counted(most, "point")))?;
         output::line(format_args!("density      {mean:.4} points per square unit, where there are any"))?;
     }
     Ok(())

@@ -62,7 +62,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         eprintln!("esker: {}", output::clean(note));
     }
     for (path, points) in &report.files {
-        output::line(format_args!("{}: {} points", path.display(), output::grouped(*points)))?;
+        output::line(format_args!("{}: {}", path.display(), output::counted(*points, "point")))?;
     }
     Ok(Outcome::Done)
 }

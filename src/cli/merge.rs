@@ -41,9 +41,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             eprintln!("esker: {}", output::clean(note));
         }
         output::line(format_args!(
-            "{} scans, {} points joined in {:.1} s",
-            merged.scans.len(),
-            output::grouped(merged.points),
+            "{}, {} joined in {:.1} s",
+            output::counted(merged.scans.len() as u64, "scan"),
+            output::counted(merged.points, "point"),
             merged.seconds,
         ))?;
     }

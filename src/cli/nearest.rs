@@ -103,10 +103,10 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         (true, true) => eprintln!("{report}"),
         (true, false) => output::json(&report)?,
         (false, false) => output::line(format_args!(
-            "{}: {} neighbours of {} places",
+            "{}: {} of {}",
             arguments.output.display(),
-            output::grouped(batch.len() as u64),
-            output::grouped(places.len() as u64)
+            output::counted(batch.len() as u64, "neighbour"),
+            output::counted(places.len() as u64, "place")
         ))?,
         (false, true) => {}
     }

@@ -53,6 +53,11 @@ pub(super) fn counted(n: u64, what: &str) -> String {
     format!("{} {what}{}", grouped(n), if n == 1 { "" } else { "s" })
 }
 
+/// `1 point lies`, `2,000 points lie`.
+pub(super) fn agreeing(n: u64, what: &str, [one, many]: [&str; 2]) -> String {
+    format!("{} {}", counted(n, what), if n == 1 { one } else { many })
+}
+
 /// A size for people: `12.3 MiB`.
 pub(super) fn bytes(n: u64) -> String {
     let mut value = n as f64;
@@ -84,6 +89,7 @@ mod tests {
         assert_eq!(grouped(0), "0");
         assert_eq!(grouped(1_234_567), "1,234,567");
         assert_eq!([0, 1, 2000].map(|n| counted(n, "node")), ["0 nodes", "1 node", "2,000 nodes"]);
+        assert_eq!([1, 2].map(|n| agreeing(n, "point", ["lies", "lie"])), ["1 point lies", "2 points lie"]);
         assert_eq!(bytes(1023), "1023 B");
         assert_eq!(bytes(1536), "1.5 KiB");
         assert_eq!(clean("a\u{1b}[31m\n"), "a\u{fffd}[31m\u{fffd}");

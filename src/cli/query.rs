@@ -300,8 +300,10 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
     };
     if on_faces > 0 {
         eprintln!(
-            "esker: {} points lie on the box's maximum faces and are not taken; --closed takes them",
-            output::grouped(on_faces)
+            "esker: {} on the box's maximum faces and {} not taken; --closed takes {}",
+            output::agreeing(on_faces, "point", ["lies", "lie"]),
+            if on_faces == 1 { "is" } else { "are" },
+            if on_faces == 1 { "it" } else { "them" }
         );
     }
     Ok(())
@@ -349,9 +351,9 @@ fn report(arguments: &Arguments, path: &Path, answer: &Answer) -> anyhow::Result
         }
     } else if path != Path::new("-") {
         output::line(format_args!(
-            "{}: {} points, error bound {}",
+            "{}: {}, error bound {}",
             path.display(),
-            output::grouped(answer.points),
+            output::counted(answer.points, "point"),
             bound(answer)
         ))?;
     }

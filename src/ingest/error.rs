@@ -125,7 +125,7 @@ pub enum IngestError {
     Grid(PathBuf),
     /// Every point of a source is out of the lattice's range.
     #[error(
-        "{path}: all its {points} points are outside the lattice ({range}); create the store with a coarser --quantum"
+        "{path}: all of its points ({points}) are outside the lattice ({range}); create the store with a coarser --quantum"
     )]
     OutOfRange {
         /// The source.

@@ -7,6 +7,7 @@ use super::view::{Refusal, Refusals, RelativeLattice, Selection, ViewCut, select
 use super::{Answer, Query, QueryError};
 use crate::geometry::{Camera, Containment};
 use crate::lattice::LatticeBox;
+use crate::points::counted;
 use crate::store::{Node, NodeIx, Snapshot, StoreError};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -124,7 +125,7 @@ fn explain_view(
         let head = plan.nodes.node(node)?;
         let own = head.own_points;
         let reason = if points < own {
-            format!("{points} of its {own} points: the rest is fine enough, or beyond the capacity")
+            format!("{points} of its {}: the rest is fine enough, or beyond the capacity", counted(own, "point"))
         } else {
             "in view, and coarser than asked for".to_owned()
         };

@@ -1,6 +1,7 @@
 //! An explanation for people: sums first, then the nodes as a table.
 
 use super::explain::{ExplainedNode, Explanation, OWN_POINTS_DO_NOT_MATCH, Verdict};
+use crate::points::counted;
 use std::cmp::Reverse;
 use std::fmt::{self, Write};
 
@@ -17,9 +18,9 @@ impl Explanation {
         let bound = self.answer.error_bound.map_or_else(|| "none can be given".to_owned(), |b| b.to_string());
         writeln!(
             out,
-            "{} nodes looked at, {} points in the answer, error bound {bound}",
-            self.nodes.len(),
-            self.answer.points
+            "{} looked at, {} in the answer, error bound {bound}",
+            counted(self.nodes.len() as u64, "node"),
+            counted(self.answer.points, "point")
         )?;
         for sum in self.sums() {
             let Sum { nodes, points, taken, .. } = sum;

@@ -3,6 +3,7 @@
 
 use super::site::{Site, bookmarks};
 use crate::geometry::{Camera, DVec3, WorldBox};
+use crate::points::counted;
 use crate::query::{Query, Region};
 use crate::store::{Snapshot, Store, StoreError};
 use std::ops::ControlFlow;
@@ -135,7 +136,7 @@ impl Work {
                 let snapshot = self.store.snapshot().map_err(|e| e.to_string());
                 let done = snapshot.and_then(|s| (self.exporter)(&s, &bounds, &scans, &path));
                 tell(News::Told(match done {
-                    Ok(points) => format!("{points} points written to {}", path.display()),
+                    Ok(points) => format!("{} written to {}", counted(points, "point"), path.display()),
                     Err(error) => error,
                 }));
             }

@@ -139,9 +139,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         write_line(&cost.line(frame))?;
         let bound = cost.error_px.map_or_else(String::new, |px| format!(", screen-space error {px:.2} pixels"));
         output::line(format_args!(
-            "{}: {} points{bound}, drawn by {}",
+            "{}: {}{bound}, drawn by {}",
             path.display(),
-            output::grouped(cost.points),
+            output::counted(cost.points, "point"),
             session.adapter_name()
         ))?;
     }

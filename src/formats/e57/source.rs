@@ -5,7 +5,7 @@ use crate::formats::file::{Buffered, SourceFile};
 use crate::formats::guard::catching;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::geometry::Pose;
-use crate::points::Crs;
+use crate::points::{Crs, counted};
 use e57::{E57Reader, PointCloud};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -89,7 +89,8 @@ impl E57Source {
         let found = cloud.records.min(room);
         let mut info = SourceInfo::new(file.path(), "e57", found, cloud.records - found, columns.layout.clone());
         if info.missing > 0 {
-            info.warnings.push(format!("the scan announces {} points, the file holds at most {found}", cloud.records));
+            let announced = counted(cloud.records, "point");
+            info.warnings.push(format!("the scan announces {announced}, the file holds at most {found}"));
         }
         info.index = index;
         info.scan_name = cloud.name.as_deref().map(str::trim).filter(|n| !n.is_empty()).map(str::to_owned);

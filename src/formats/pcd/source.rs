@@ -8,6 +8,7 @@ use crate::formats::las::even_pieces;
 use crate::formats::ply::{self, Conversion};
 use crate::formats::text::{Chunk, Coordinates, Place, Separator, Table, count_rows, first_row};
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
+use crate::points::counted;
 use std::sync::{Arc, OnceLock};
 
 /// Bytes given to a sink at a time.
@@ -76,7 +77,7 @@ pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
             let (compressed, size) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
             let expected = header.points.checked_mul(point_bytes);
             if expected != Some(size.into()) {
-                let expected = format!("{} points of {point_bytes} bytes", header.points);
+                let expected = format!("{} of {point_bytes} bytes", counted(header.points, "point"));
                 return Err(file.malformed(header.data_offset + 4, expected, format!("{size} bytes")));
             }
             if u64::from(compressed) > room - 8 {
@@ -93,8 +94,8 @@ pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
             let (table, rows) = text(&file, &header, &fields)?;
             if rows > header.points {
                 warnings.push(format!(
-                    "the header announces {} points, there are {rows} rows: all are read",
-                    header.points
+                    "the header announces {}, there are {rows} rows: all are read",
+                    counted(header.points, "point")
                 ));
             }
             (Points::Text(table), rows)
@@ -102,7 +103,7 @@ pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
     };
     let missing = header.points.saturating_sub(found);
     if missing > 0 {
-        warnings.push(format!("the header announces {} points, the file holds {found}", header.points));
+        warnings.push(format!("the header announces {}, the file holds {found}", counted(header.points, "point")));
     }
     if !header.viewpoint.is_identity() {
         warnings.push("the points are placed by the file's VIEWPOINT".to_owned());

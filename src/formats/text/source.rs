@@ -7,7 +7,7 @@ use crate::formats::file::SourceFile;
 use crate::formats::names::unique;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::lattice::{Decimal, SourceGrid};
-use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout};
+use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout, counted};
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -89,10 +89,13 @@ impl TextSource {
         };
         match announced {
             Some(n) if n > survey.rows => {
-                warnings.push(format!("the header announces {n} points, the file holds {}", survey.rows));
+                let announced = counted(n, "point");
+                warnings.push(format!("the header announces {announced}, the file holds {}", survey.rows));
             }
             Some(n) if n < survey.rows => {
-                warnings.push(format!("the header announces {n} points, there are {} rows: all are read", survey.rows));
+                let announced = counted(n, "point");
+                warnings
+                    .push(format!("the header announces {announced}, there are {} rows: all are read", survey.rows));
             }
             _ => {}
         }

@@ -210,7 +210,7 @@ fn blocks_of_pts_are_sources() {
         (all[0].info().records, all[0].info().missing, all[0].info().warnings.join(";"))
     };
     let (records, missing, warnings) = info("1\n1 2 3\n4 5 6\n");
-    assert!((records, missing) == (2, 0) && warnings.contains("announces 1 points, there are 2 rows: all are read"));
+    assert!((records, missing) == (2, 0) && warnings.contains("announces 1 point, there are 2 rows: all are read"));
     let (records, missing, warnings) = info("5\n1 2 3\n4 5 6\n");
     assert!((records, missing) == (2, 3) && warnings.contains("announces 5 points, the file holds 2"));
     assert_eq!(info("1 2 3 4 5 6 7\n"), (1, 0, String::new()));

@@ -1,5 +1,6 @@
 """What numpy's users expect to work."""
 
+import os
 import pickle
 
 import esker
@@ -74,6 +75,39 @@ def test_points_are_arrays_for_numpy_and_go_to_other_processes(site):
         pickle.dumps(site.store.batches(10))
     with site.store.snapshot() as snapshot, pytest.raises(TypeError, match="pickle"):
         pickle.dumps(snapshot)
+
+
+def test_a_store_is_found_from_another_folder(site, tmp_path, monkeypatch):
+    """A relative path was looked for in whatever folder the process went to: the store was said to be gone."""
+    folder, name = os.path.split(site.path)
+    monkeypatch.chdir(folder)
+    with esker.open(name) as store:
+        monkeypatch.chdir(tmp_path)
+        assert os.path.samefile(store.path, site.path)
+        assert len(store.query()) == store.count() == 60_000
+        assert pickle.loads(pickle.dumps(store)).count() == 60_000
+        with store.snapshot() as snapshot:
+            assert snapshot.path == store.path
+        store.hide("site_1")
+        assert store.count() == 40_000
+        store.show("site_1")
+
+
+def test_whole_numbers_keep_all_their_digits(tmp_path):
+    (tmp_path / "ids.csv").write_text("x,y,z,id\n1,2,3,9007199254740993\n4,5,6,-9007199254740995\n")
+    esker.ingest(tmp_path / "ids.esker", [tmp_path / "ids.csv"])
+    with esker.open(tmp_path / "ids.esker") as store:
+        told = next(a for a in store.info["attributes"] if a["name"] == "id")
+        assert told["min_max"] == [-9007199254740995, 9007199254740993]
+        found = next(a for a in store.summary()["attributes"] if a["name"] == "id")
+        assert (found["min"], found["max"]) == (-9007199254740995, 9007199254740993)
+
+
+def test_files_of_a_split_answer_tell_their_scan(site, tmp_path):
+    outputs = site.store.export(tmp_path / "out.las", split_by="scan")["outputs"]
+    assert [part["scan"] for part in outputs] == ["site_1", "site_2", "site_3"]
+    outputs = site.store.export(tmp_path / "out.las", split_by="class")["outputs"]
+    assert all(part["path"].endswith(f"_class{part['class']}.las") for part in outputs)
 
 
 def test_stores_say_what_they_are(site, tmp_path):

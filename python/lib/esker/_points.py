@@ -10,6 +10,11 @@ import numpy as np
 from . import _esker
 
 
+def counted(n: int, what: str) -> str:
+    """``1 point``, ``2,000 points``."""
+    return f"{n:,} {what}{'' if n == 1 else 's'}"
+
+
 class Points:
     """Some points, as one structured array or as one array for each of their attributes.
 
@@ -131,7 +136,7 @@ class Points:
         self._lock = threading.Lock()
 
     def __repr__(self) -> str:
-        return f"<esker.{type(self).__name__} of {self._len:,} points: {', '.join(self.names)}>"
+        return f"<esker.{type(self).__name__} of {counted(self._len, 'point')}: {', '.join(self.names)}>"
 
     def _done_with_decoded(self) -> None:
         if self._masked:

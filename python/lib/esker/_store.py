@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence,
 import numpy as np
 
 from . import _arguments, _esker
-from ._points import Answer, Batches, Density, Neighbors
+from ._points import Answer, Batches, Density, Neighbors, counted
 from .errors import EskerError, EskerWarning
 
 if TYPE_CHECKING:
@@ -86,9 +86,9 @@ class Reader:
     """What can be asked of a store. In the examples ``store`` is a site of three scans, made by
     :func:`esker.generate`."""
 
-    def __init__(self, reader: _esker.Reader, path: PathLike) -> None:
+    def __init__(self, reader: _esker.Reader, path: str) -> None:
         self._reader = reader
-        self._path = os.fspath(path)
+        self._path = path
 
     @property
     def path(self) -> str:
@@ -361,7 +361,8 @@ class Reader:
     ) -> Dict[str, Any]:
         """Writes the points of :meth:`query` to a LAS, LAZ, PLY, CSV, NPY or NPZ file in bounded memory, as the command
         line's ``query -o``: the same points in the same order, in the scans' own version, format, scale and offset where
-        these agree. Gives the answer's report, with the files and their points in ``outputs``.
+        these agree. Gives the answer's report, with the files, their points and,
+        where it is split, their ``scan`` or ``class`` in ``outputs``.
 
         ``format``
             ``"las"``, ``"laz"``, ``"ply"``, ``"csv"``, ``"npy"`` or ``"npz"``, if the name of the file does not say.
@@ -430,7 +431,7 @@ class Reader:
 
     def __repr__(self) -> str:
         try:
-            what = "closed" if self.closed else f"{len(self):,} points"
+            what = "closed" if self.closed else counted(len(self), "point")
         except EskerError as error:
             what = str(error)
         return f"<esker.{type(self).__name__} {self._path!r}: {what}>"
@@ -453,6 +454,8 @@ class Store(Reader):
         return self
 
     def __init__(self, path: PathLike, cache: Optional[int]) -> None:
+        # Where it is stays true when the process goes to another folder.
+        path = os.path.join(os.getcwd(), os.fsdecode(path))
         super().__init__(_esker.Reader(path, cache), path)
         self._cache_bytes = cache
 

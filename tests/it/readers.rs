@@ -209,7 +209,7 @@ fn a_first_ingest_that_waits_for_a_reader_can_be_interrupted() {
     fs::write(&las, file.bytes()).unwrap();
     let progress = ReaderInTheWay { store: &store, reader: Mutex::new(None) };
     let begun = Instant::now();
-    let error = ingest(&store, &[las.clone()], &IngestOptions::default(), &progress).unwrap_err();
+    let error = ingest(&store, std::slice::from_ref(&las), &IngestOptions::default(), &progress).unwrap_err();
     assert!(matches!(error, IngestError::Interrupted), "{error:?}");
     assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", begun.elapsed());
     // It began with no store, and leaves none.

@@ -87,6 +87,7 @@ impl Room {
             ids: &ids,
             spill: self.spill.as_ref(),
             most_rows: self.budget.bucket_rows,
+            memory: context.memory,
             threads: context.threads,
             progress: context.progress,
             sink,

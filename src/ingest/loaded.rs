@@ -58,6 +58,9 @@ pub(super) struct Rows<'a> {
     scans: &'a [ScanColumns<'a>],
 }
 
+/// Bytes of a buffer that are kept from job to job.
+const SPARE_BYTES: usize = 256 << 20;
+
 /// Bytes of a scan's number before a payload.
 const SLOT_BYTES: usize = 4;
 
@@ -211,17 +214,24 @@ pub(super) fn load<'a, K: RowKey>(
         with_payload_words!(payload, scatter_run::<K>(run, &inside, scatter));
     }
     drop(runs);
+    if spilled.len() > SPARE_BYTES {
+        // A job far beyond the others, whose points lie at one place.
+        *spilled = Vec::new();
+    }
     let (from, to) = (&scattered[..needed], &mut bytes[..needed]);
     sorter.sort(bins, keys, order, |bin, order| {
         with_payload_words!(stride, permute(stride, bin, order, from, to));
     });
-    let record = |row: &[u8]| {
+    let record = |row: &[u8], out: &mut Vec<u8>| {
         let (slot, payload) = Rows { bytes: row, stride, head, slot, scans }.row(0);
-        let mut bytes = Vec::new();
-        scans[slot as usize].plan.layout.canonical_bytes(payload, &mut bytes);
-        (bytes, slot)
+        scans[slot as usize].plan.layout.canonical_bytes(payload, out);
     };
-    settle_ties(keys, &mut bytes[..needed], stride, record, |a, b| tie(a, b, scans));
+    let scan = |row: &[u8]| &scans[Rows { bytes: row, stride, head, slot, scans }.row(0).0 as usize];
+    let order = |a: &[u8], b: &[u8]| {
+        let (a, b) = (scan(a), scan(b));
+        a.signature.cmp(&b.signature).then_with(|| a.identity.cmp(&b.identity))
+    };
+    settle_ties(keys, (&mut bytes[..needed], &mut scattered[..needed]), stride, record, order);
     let rows = Rows { bytes: &bytes[..needed], stride, head, slot, scans };
     Ok(Loaded { keys, rows })
 }
@@ -269,33 +279,71 @@ fn scatter_run<K: RowKey, const WORDS: usize>(
     }
 }
 
-/// Brings the rows of equal keys into the order of their records.
-fn settle_ties<K: RowKey, T>(
+/// A row among those with its key: where its record is, and which of them it is.
+struct Tied {
+    start: usize,
+    bytes: u32,
+    row: u32,
+}
+
+/// Brings the rows of equal keys into the order of their records, and where these are equal into `order`: attributes, then scan
+/// identity. Beyond that records are interchangeable. `spare` is as long as the rows, and is written over.
+fn settle_ties<K: RowKey>(
     keys: &[K],
-    rows: &mut [u8],
+    (rows, spare): (&mut [u8], &mut [u8]),
     stride: usize,
-    record: impl Fn(&[u8]) -> T,
-    order: impl Fn(&T, &T) -> Ordering,
+    record: impl Fn(&[u8], &mut Vec<u8>),
+    order: impl Fn(&[u8], &[u8]) -> Ordering,
 ) {
     if stride == 0 {
         return;
     }
+    // One buffer for all records: there may be millions at one place.
+    let (mut records, mut tied) = (Vec::new(), Vec::new());
     let mut start = 0;
     for run in keys.chunk_by(|a, b| a == b) {
         let place = start * stride..(start + run.len()) * stride;
         start += run.len();
-        if run.len() > 1 {
-            let rows = &mut rows[place];
-            let copy = rows.to_vec();
-            let mut sorted: Vec<_> = copy.chunks_exact(stride).map(|row| (record(row), row)).collect();
-            sorted.sort_by(|a, b| order(&a.0, &b.0));
-            rows.chunks_exact_mut(stride).zip(sorted).for_each(|(to, (_, from))| to.copy_from_slice(from));
+        if run.len() == 1 {
+            continue;
         }
+        let (rows, spare) = (&mut rows[place.clone()], &mut spare[place]);
+        spare.copy_from_slice(rows);
+        records.clear();
+        tied.clear();
+        for (row, bytes) in (0..).zip(spare.chunks_exact(stride)) {
+            let start = records.len();
+            record(bytes, &mut records);
+            tied.push(Tied { start, bytes: (records.len() - start) as u32, row });
+        }
+        let row = |t: &Tied| &spare[t.row as usize * stride..][..stride];
+        let record = |t: &Tied| &records[t.start..][..t.bytes as usize];
+        tied.sort_unstable_by(|a, b| {
+            record(a).cmp(record(b)).then_with(|| order(row(a), row(b))).then_with(|| a.row.cmp(&b.row))
+        });
+        rows.chunks_exact_mut(stride).zip(&tied).for_each(|(to, t)| to.copy_from_slice(row(t)));
     }
 }
 
-/// Record bytes, then attributes, then scan identity. Beyond that records are interchangeable.
-fn tie(a: &(Vec<u8>, u32), b: &(Vec<u8>, u32), scans: &[ScanColumns<'_>]) -> Ordering {
-    let (x, y) = (&scans[a.1 as usize], &scans[b.1 as usize]);
-    a.0.cmp(&b.0).then_with(|| x.signature.cmp(&y.signature)).then_with(|| x.identity.cmp(&y.identity))
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn ties_are_in_the_order_of_their_records_then_of_their_scans(
+            mut rows in prop::collection::vec((0_u64..6, [0_u8..3, 0..3, 0..4]), 0..200),
+        ) {
+            rows.sort_by_key(|row| row.0);
+            let keys: Vec<u64> = rows.iter().map(|row| row.0).collect();
+            let mut bytes: Vec<u8> = rows.iter().flat_map(|row| row.1).collect();
+            let mut spare = vec![7; bytes.len()];
+            // The record is the second byte and the first, the scan the third.
+            let record = |row: &[u8], out: &mut Vec<u8>| out.extend([row[1], row[0]]);
+            settle_ties(&keys, (&mut bytes, &mut spare), 3, record, |a, b| a[2].cmp(&b[2]));
+            rows.sort_by_key(|(key, [a, b, scan])| (*key, *b, *a, *scan));
+            prop_assert_eq!(bytes, rows.iter().flat_map(|row| row.1).collect::<Vec<_>>());
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! Memory and temporary files: the budget is kept, the prediction is honest, nothing is left, the result is the same.
 
-use crate::support::esker_ok;
+use crate::support::{TinyLas, esker, esker_ok};
 use serde_json::Value;
 
 fn ingest(store: &str, input: &str, memory: &str) -> Value {
@@ -40,4 +40,23 @@ fn twenty_million_points_fit_a_quarter_gibibyte() {
     let peak = spilled["peak_memory_bytes"].as_u64().unwrap();
     assert!(peak < 450 << 20, "{} MiB", peak >> 20);
     assert_eq!(spilled["points"], 20_000_000);
+}
+
+#[test]
+fn points_at_one_place_that_take_more_than_the_memory_are_told() {
+    // Ten million took five times what --memory said, without a word.
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for (name, step, told) in [("apart", 5, false), ("together", 0, true)] {
+        let mut file = TinyLas::new(1);
+        (0..30_000).for_each(|i| file.push([i * step, i * step * 3 % 4001, 7], (i * 77) as u64));
+        let las = path(&format!("{name}.las"));
+        std::fs::write(&las, file.bytes()).unwrap();
+        let output = esker(&["ingest", &path(&format!("{name}.esker")), &las, "--memory", "1MiB"]);
+        let words = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{words}");
+        let about: Vec<_> = words.lines().filter(|l| l.contains("30000 points lie at one place")).collect();
+        assert_eq!(about.len(), usize::from(told), "{words}");
+        assert!(about.iter().all(|l| l.contains("about 5 MiB") && l.contains("more than 1 MiB")), "{words}");
+    }
 }

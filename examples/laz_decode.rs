@@ -1,11 +1,13 @@
-//! What the `laz` crate alone decodes: every chunk of a LAZ file, on so many threads, each into one buffer again and again.
-//! An ingest of the same file is measured against it (docs/performance.md).
+//! What the `laz` crate alone decodes: every chunk of a LAZ file, on so many threads, each into one buffer again and again; then
+//! the same by Esker's own reader. An ingest of the same file is measured against the first (docs/performance.md).
 //!
 //! `cargo run --release --example laz_decode -- 2 north.laz`
 
+use esker::formats::ReadOptions;
 use laz::LazVlr;
 use laz::laszip::ChunkTable;
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
+use std::hint::black_box;
 use std::io::{Cursor, Seek, SeekFrom};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -19,7 +21,6 @@ fn main() -> Result<(), Failure> {
     };
     let threads: usize = threads.parse()?;
     let file = std::fs::read(&path)?;
-    let started = Instant::now();
     let vlr = LazVlr::from_buffer(laszip_record(&file)?)?;
     let points_offset = u64::from(u32::from_le_bytes(bytes(&file, 96)?));
     let mut reader = Cursor::new(&file[..]);
@@ -42,23 +43,42 @@ fn main() -> Result<(), Failure> {
         offset += entry.byte_count as usize;
     }
     let next = AtomicUsize::new(0);
-    let work = || {
+    let by_crate = on_threads(threads, || {
         let mut buffer = Vec::new();
         while let Some(&(offset, length, count)) = chunks.get(next.fetch_add(1, Ordering::Relaxed)) {
             let source = Cursor::new(&file[offset..offset + length]);
             buffer.resize(count * record_bytes, 0);
             decode(&vlr, source, &mut buffer)?;
-            std::hint::black_box(&buffer);
+            black_box(&buffer);
         }
-        Ok::<_, Failure>(())
-    };
+        Ok(())
+    })?;
+    let source = esker::formats::open(path.as_ref(), &ReadOptions::default())?;
+    let pieces = source.pieces(1);
+    let next = AtomicUsize::new(0);
+    let by_esker = on_threads(threads, || {
+        while let Some(&piece) = pieces.get(next.fetch_add(1, Ordering::Relaxed)) {
+            source.read(piece, &mut |records| {
+                black_box(records);
+                true
+            })?;
+        }
+        Ok(())
+    })?;
+    for (what, seconds) in [("the crate", by_crate), ("Esker's reader", by_esker)] {
+        println!("{what}: {points} points, {seconds:.2} s, {:.2} million a second", points as f64 / seconds / 1e6);
+    }
+    Ok(())
+}
+
+/// Seconds that some threads take for a work.
+fn on_threads(threads: usize, work: impl Fn() -> Result<(), Failure> + Sync) -> Result<f64, Failure> {
+    let started = Instant::now();
     std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(&work)).collect();
         threads.into_iter().try_for_each(|thread| thread.join().map_err(|_| "a decoder broke down")?)
     })?;
-    let seconds = started.elapsed().as_secs_f64();
-    println!("{points} points, {seconds:.2} s, {:.2} million a second", points as f64 / seconds / 1e6);
-    Ok(())
+    Ok(started.elapsed().as_secs_f64())
 }
 
 fn decode(vlr: &LazVlr, source: Cursor<&[u8]>, buffer: &mut [u8]) -> Result<(), Failure> {

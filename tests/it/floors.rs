@@ -44,6 +44,7 @@ const OWNERS: &[(&str, &[&str])] = &[
     ("winit", &["viewer"]),
     ("las", &["formats"]),
     ("laz", &["formats"]),
+    ("wide", &["formats"]),
     ("e57", &["formats"]),
     ("geojson", &["query"]),
     ("zip", &["formats"]),

@@ -1,4 +1,4 @@
-//! Chunks to records. The `laz` crate does the work; here its input is checked and its panics become errors.
+//! Chunks to records. Decompressors do the work; here their input is checked and the crate's panics become errors.
 
 use super::chunks::{Chunk, Chunks};
 use super::laz::Codec;
@@ -8,6 +8,9 @@ use crate::formats::guard::catching;
 use crate::formats::{FormatError, Piece, Tally};
 use laz::record::RecordDecompressor;
 use std::io::{BufReader, ErrorKind};
+
+/// Bytes that are decoded at a time from a chunk: a decoder's models fill most of a core's second cache, and should stay there.
+const CHUNK_RUN_BYTES: usize = 32 << 10;
 
 /// Gives the records of a piece to a sink, from chunks that may begin before it.
 struct Feed<'a> {
@@ -82,7 +85,7 @@ fn read_chunk(
         }
     }
     let stride = codec.record_bytes;
-    let run = (RUN_BYTES / stride).max(1) as u64;
+    let run = (CHUNK_RUN_BYTES / stride).max(1) as u64;
     buffer.resize(run.min(chunk.records) as usize * stride, 0);
     let mut decompressor = guarded(file, chunk.offset, || codec.decompressor(bytes))?
         .map_err(|e| file.unsupported(format!("its LAZ compression ({e})"), ""))?;
@@ -90,7 +93,7 @@ fn read_chunk(
     while done < chunk.records && chunk.first + done < feed.piece.first + feed.piece.records {
         let records = run.min(chunk.records - done);
         let out = &mut buffer[..records as usize * stride];
-        guarded(file, chunk.offset, || decompressor.decompress_many(out))?.map_err(|e| {
+        guarded(file, chunk.offset, || decompressor.decompress(out))?.map_err(|e| {
             let expected = format!("a chunk of {} records", chunk.records);
             file.malformed(chunk.offset, expected, format!("an undecodable one after record {done} ({e})"))
         })?;

@@ -1,11 +1,12 @@
-//! The laszip VLR, checked against the point format, and decompressors of the `laz` crate for one chunk.
+//! The laszip VLR, checked against the point format, and decompressors for one chunk.
 
 use super::header::Header;
+use super::layered::{self, Layers};
 use crate::formats::FormatError;
 use crate::formats::file::SourceFile;
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{LazItem, LazItemType, LazVlr};
-use std::io::{Cursor, Read};
+use std::io::{Cursor, ErrorKind, Read};
 
 /// User id of the VLR that says how points are compressed.
 pub const LASZIP_USER_ID: &[u8] = b"laszip encoded";
@@ -21,6 +22,8 @@ const REMEDY: &str = "decompress it to LAS first, with LASzip for example";
 #[derive(Debug)]
 pub struct Codec {
     items: Vec<LazItem>,
+    /// The layers of a chunk, where they are decoded here.
+    decoded_here: Option<Layers>,
     /// Are fields compressed apart, with layer sizes at the head of each chunk (formats 6 to 10)?
     pub layered: bool,
     /// One chunk without a table (LASzip 1.0).
@@ -67,6 +70,7 @@ impl Codec {
             return Err(file.unsupported(what, REMEDY));
         }
         let codec = Self {
+            decoded_here: Layers::new(&items).filter(|_| layered),
             items,
             layered,
             point_wise: compressor == 1,
@@ -75,7 +79,7 @@ impl Codec {
         };
         // The crate refuses versions only when it sets up the fields.
         let probe = if layered {
-            codec.decompressor(Vec::new()).map(|_| ())
+            codec.crate_decompressor(Vec::new()).map(|_| ())
         } else {
             codec.sequential(Cursor::new(Vec::new())).map(|_| ())
         };
@@ -84,7 +88,20 @@ impl Codec {
     }
 
     /// A decompressor of one chunk.
-    pub fn decompressor(&self, chunk: Vec<u8>) -> laz::Result<Box<dyn RecordDecompressor<Cursor<Vec<u8>>>>> {
+    ///
+    /// # Errors
+    ///
+    /// What the crate refuses, and chunks that end before their layers.
+    pub fn decompressor(&self, chunk: Vec<u8>) -> laz::Result<Decompressor> {
+        if let Some(layers) = &self.decoded_here {
+            let chunk = layers.open(chunk).ok_or_else(|| laz::LasZipError::IoError(ends_early()))?;
+            return Ok(Decompressor::Here(Box::new(chunk)));
+        }
+        Ok(Decompressor::Crate(self.crate_decompressor(chunk)?))
+    }
+
+    /// The crate's decompressor of one chunk.
+    fn crate_decompressor(&self, chunk: Vec<u8>) -> laz::Result<Box<dyn RecordDecompressor<Cursor<Vec<u8>>>>> {
         let chunk = Cursor::new(chunk);
         if self.layered {
             let mut decompressor = LayeredPointRecordDecompressor::new(chunk);
@@ -131,6 +148,32 @@ impl Codec {
         let records = words.next()?;
         Some((records, head.len() as u64 + words.sum::<u64>()))
     }
+}
+
+/// Decodes the records of one chunk.
+pub enum Decompressor {
+    /// Layer by layer.
+    Here(Box<layered::Chunk>),
+    /// Record by record.
+    Crate(Box<dyn RecordDecompressor<Cursor<Vec<u8>>>>),
+}
+
+impl Decompressor {
+    /// Decodes as many records as `out` has room for.
+    ///
+    /// # Errors
+    ///
+    /// Where the chunk's data end before.
+    pub fn decompress(&mut self, out: &mut [u8]) -> std::io::Result<()> {
+        match self {
+            Self::Here(chunk) => chunk.decode(out).then_some(()).ok_or_else(ends_early),
+            Self::Crate(decompressor) => decompressor.decompress_many(out),
+        }
+    }
+}
+
+fn ends_early() -> std::io::Error {
+    std::io::Error::new(ErrorKind::UnexpectedEof, "its data end early")
 }
 
 /// The items that LASzip writes for a point format.

@@ -5,6 +5,7 @@ mod crs;
 mod decode;
 pub mod extra;
 mod header;
+mod layered;
 pub mod layout;
 mod laz;
 mod records;

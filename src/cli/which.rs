@@ -28,19 +28,23 @@ impl Which {
     pub fn query(&self, region: Region, snapshot: &Snapshot) -> anyhow::Result<Query> {
         let mut query = Query::new().region(region).cancel(&cancelled_by_interrupt());
         if let Some(text) = &self.filter {
-            let filter = Filter::parse(text)?;
-            for name in filter.ambiguous_names(snapshot) {
-                let text =
-                    format!("{name} is taken as the coordinate; the attribute of that name is written \"{name}\"");
-                eprintln!("esker: {text}, in double quotes");
-            }
-            query = query.filter(filter);
+            query = query.filter(filter(text, snapshot)?);
         }
         if !self.scans.is_empty() {
             query = query.scans(self.scans.iter().cloned());
         }
         Ok(query)
     }
+}
+
+/// Reads a filter; says where a name means a coordinate and could be meant as an attribute's.
+pub(super) fn filter(text: &str, snapshot: &Snapshot) -> anyhow::Result<Filter> {
+    let filter = Filter::parse(text)?;
+    for name in filter.ambiguous_names(snapshot) {
+        let attribute = format!("the attribute of that name is written \"{name}\", in double quotes");
+        eprintln!("esker: {name} is taken as the coordinate; {attribute}");
+    }
+    Ok(filter)
 }
 
 /// The attributes of an answer: `none`, some, or all where none is named.

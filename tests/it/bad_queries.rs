@@ -124,3 +124,31 @@ fn files_are_split_by_class_and_by_scan_in_one_pass() {
         assert_eq!(lines, whole);
     }
 }
+
+#[test]
+fn a_coordinate_that_could_be_an_attribute_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(
+        path("x.ply"),
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n\
+         property uchar X\nend_header\n1 2 3 9\n4 5 6 0\n",
+    )
+    .unwrap();
+    let store = path("x.esker");
+    esker_ok(&["ingest", &store, &path("x.ply")]);
+    let count = |filter: &str| {
+        let output = esker(&["query", &store, "--where", filter, "--attributes", "none", "-o", "-", "--format", "csv"]);
+        let (rows, words) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+        assert!(output.status.success(), "{words}");
+        (rows.lines().nth(1).unwrap_or("").to_owned(), words)
+    };
+    let (row, words) = count("x > 2");
+    assert_eq!(row, "4,5,6");
+    assert_eq!(
+        words,
+        "esker: x is taken as the coordinate; the attribute of that name is written \"x\", in double quotes\n"
+    );
+    assert_eq!(count("\"X\" > 2"), ("1,2,3".to_owned(), String::new()));
+    assert_eq!(count("y > 2"), ("4,5,6".to_owned(), String::new()));
+}

@@ -6,12 +6,13 @@ mod session;
 mod statistics;
 mod walk;
 
+use super::which::filter;
 use super::{Outcome, output, values};
 use crate::formats::is_database;
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::LatticeBox;
 use crate::points::Batch;
-use crate::query::{Detail, Filter, Query, Region, flat_attributes, occupied_boxes};
+use crate::query::{Detail, Query, Region, flat_attributes, occupied_boxes};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
 use crate::store::model::{Scan, ScanId};
 use crate::store::{Snapshot, Store, WorldBounds};
@@ -127,7 +128,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     };
     write_line(&format!("{}\n", statistics::HEAD))?;
 
-    let query = query(arguments)?;
+    let query = query(arguments, &snapshot)?;
     let coloring = coloring(arguments, &snapshot, &query)?;
     let mut session = session(arguments, &snapshot, query, coloring, starting)?;
     for ((frame, camera), path) in cameras.iter().enumerate().zip(&outputs) {
@@ -197,10 +198,10 @@ fn places(arguments: &Arguments, snapshot: &Snapshot, is_seen: impl Fn(ScanId) -
 }
 
 /// Which points count.
-fn query(arguments: &Arguments) -> anyhow::Result<Query> {
+fn query(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Query> {
     let mut query = Query::new();
     if let Some(text) = &arguments.filter {
-        query = query.filter(Filter::parse(text)?);
+        query = query.filter(filter(text, snapshot)?);
     }
     if !arguments.scans.is_empty() {
         query = query.scans(arguments.scans.iter().cloned());

@@ -1,6 +1,7 @@
 //! Points of an answer on their way to numpy: decoded batches, copied once, on all threads, into the arrays asked for.
 
 use crate::options::Give;
+use crate::waiting::check_process;
 use esker::export::Meeting;
 use esker::lattice::{BIAS, Lattice};
 use esker::points::{Attribute, Batch, Column, ScalarType, Scaling};
@@ -237,7 +238,8 @@ impl Points {
     }
 
     /// An array per field.
-    fn columns<'py>(&self, py: Python<'py>) -> Vec<Bound<'py, PyAny>> {
+    fn columns<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        check_process()?;
         let form = &self.form;
         let columns: Vec<Column> = py.detach(|| {
             let pieces = self.pieces();
@@ -248,11 +250,12 @@ impl Points {
             };
             form.fields.par_iter().map(column).collect()
         });
-        columns.into_iter().map(|column| with_column!(column, v => v.into_pyarray(py).into_any())).collect()
+        Ok(columns.into_iter().map(|column| with_column!(column, v => v.into_pyarray(py).into_any())).collect())
     }
 
     /// Fills the bytes of an array of packed records.
     fn fill(&self, py: Python<'_>, mut records: PyReadwriteArray1<'_, u8>) -> PyResult<()> {
+        check_process()?;
         let bytes = records.as_slice_mut()?;
         let form = &self.form;
         let size: usize = form.fields.iter().map(|f| f.ty.size()).sum();
@@ -280,13 +283,14 @@ impl Points {
     }
 
     /// Which values are null, for each field that can have nulls.
-    fn nulls<'py>(&self, py: Python<'py>) -> Vec<Option<Bound<'py, PyArray1<bool>>>> {
+    fn nulls<'py>(&self, py: Python<'py>) -> PyResult<Vec<Option<Bound<'py, PyArray1<bool>>>>> {
+        check_process()?;
         let form = &self.form;
         let nulls: Vec<Option<Vec<bool>>> = py.detach(|| {
             let pieces = self.pieces();
             form.fields.par_iter().map(|field| form.nulls(field, &pieces)).collect()
         });
-        nulls.into_iter().map(|n| n.map(|n| n.into_pyarray(py))).collect()
+        Ok(nulls.into_iter().map(|n| n.map(|n| n.into_pyarray(py))).collect())
     }
 
     /// Forgets the decoded points, once they are in arrays.

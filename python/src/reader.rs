@@ -4,7 +4,7 @@ use crate::batches::Batches;
 use crate::errors::{Failure, misuse};
 use crate::options::Options;
 use crate::points::{Form, Points};
-use crate::waiting::{interruptible, quietly, to_its_end};
+use crate::waiting::{check_process, interruptible, quietly, to_its_end};
 use esker::points::{canonical_name, same_name};
 use esker::query::{Answer, Cancel, Query, QueryError};
 use esker::store::{Finding, Limits, ScanDescription, Snapshot, Store, describe, verify};
@@ -161,6 +161,7 @@ impl Reader {
 
     /// The points batch by batch.
     fn batches(&self, py: Python<'_>, options: Options, points: usize) -> PyResult<Batches> {
+        check_process()?;
         let (snapshot, query, cancel) = self.asked(py, &options)?;
         let form = py.detach(|| Form::new(&query, &snapshot, options.give()));
         Ok(Batches::new(snapshot, query, cancel, found(form)?, points))

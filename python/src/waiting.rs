@@ -3,12 +3,29 @@
 use crate::errors::misuse;
 use pyo3::prelude::*;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
 /// How often a thread that waits looks for signals.
 pub const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// The process whose threads have worked; 0 if none has.
+static WORKED_IN: AtomicU32 = AtomicU32::new(0);
+
+/// Refuses work in a process that was forked from one that has worked: the threads that its answers wait for did not come along.
+pub fn check_process() -> PyResult<()> {
+    let here = std::process::id();
+    match WORKED_IN.compare_exchange(0, here, Ordering::Relaxed, Ordering::Relaxed) {
+        Ok(_) => Ok(()),
+        Err(worked_in) if worked_in == here => Ok(()),
+        Err(_) => Err(misuse(
+            "this process was forked from one in which esker has worked, and its threads did not come along; let processes be \
+             spawned, multiprocessing.set_start_method(\"spawn\")",
+        )),
+    }
+}
 
 /// Runs `work` on a thread of its own while this one waits with the interpreter's lock released, and every now and then
 /// takes the lock to handle signals and to call `tick`. If either raises, `stop` is called, and what was raised is passed on
@@ -19,6 +36,7 @@ pub fn interruptible<R: Send>(
     mut tick: impl FnMut(Python<'_>) -> PyResult<()> + Send,
     work: impl FnOnce() -> R + Send,
 ) -> PyResult<R> {
+    check_process()?;
     py.detach(|| {
         thread::scope(|scope| {
             let (sender, receiver) = channel();

@@ -3,9 +3,13 @@
 import os
 import pickle
 import shutil
+import signal
 import sqlite3
+import subprocess
+import sys
 
 import esker
+import numpy as np
 import pytest
 
 
@@ -130,17 +134,85 @@ def test_a_store_goes_to_another_process_by_its_name(site):
         assert other.count() == site.store.count()
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
-def test_a_forked_process_is_told_to_open_its_own(site):
-    site.store.count()
+def in_a_forked_process(work):
+    """What ``work`` comes to: "done", or what it raises; "it hangs" after some seconds."""
+    read, write = os.pipe()
     child = os.fork()
     if child == 0:
         try:
-            site.store.count()
-            os._exit(1)
-        except esker.EskerError as error:
-            os._exit(0 if "forked" in str(error) else 2)
-        except BaseException:
-            os._exit(3)
-    _, status = os.waitpid(child, 0)
-    assert os.waitstatus_to_exitcode(status) == 0
+            signal.alarm(20)
+            work()
+            os.write(write, b"done")
+        except BaseException as error:
+            os.write(write, repr(error).encode())
+        finally:
+            os._exit(0)
+    os.close(write)
+    os.waitpid(child, 0)
+    with os.fdopen(read) as said:
+        return said.read() or "it hangs"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_forked_process_is_told_that_it_has_no_threads(site):
+    path, answer = site.store.path, site.store.query()
+
+    def of_its_own(ask):
+        with esker.open(path) as own:
+            ask(own)
+
+    works = {
+        "its parent's store": site.store.count,
+        "a store of its own": lambda: of_its_own(lambda own: own.count()),
+        "points": lambda: of_its_own(lambda own: own.query()),
+        "batches": lambda: of_its_own(lambda own: list(own.batches())),
+        "verify": lambda: of_its_own(lambda own: own.verify()),
+        "an answer's arrays": lambda: answer.columns,
+        "an answer's records": lambda: answer.points,
+    }
+    for what, work in works.items():
+        assert "forked" in in_a_forked_process(work), what
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_forked_process_whose_parent_only_opened_a_store_works(site):
+    script = f"""
+import esker, os
+store = esker.open({str(site.store.path)!r})
+store.scans
+child = os.fork()
+if child == 0:
+    with esker.open(store.path) as own:
+        os._exit(0 if own.count() == {site.store.count()} and len(own.query()) > 0 else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), store.count())
+"""
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    assert said.stdout.split() == ["0", str(site.store.count())]
+
+
+def test_an_int_is_a_scans_number_though_another_is_called_so(tmp_path):
+    for name in ("1", "10", "2", "3"):
+        points = "\n".join(f"{name} {i} 0" for i in range(int(name)))
+        (tmp_path / f"{name}.xyz").write_text(f"{points}\n{name} -1 0\n")
+    files = [tmp_path / f"{name}.xyz" for name in ("1", "10", "2", "3")]
+    esker.ingest(tmp_path / "s.esker", files)
+    with esker.open(tmp_path / "s.esker") as store:
+        numbers = {scan["name"]: scan["id"] for scan in store.scans}
+        assert numbers["2"] != 2 and numbers["10"] == 2
+        assert store.count(scans=2) == store.count(scans=np.int64(2)) == store.count(scans=[2]) == 11
+        assert store.count(scans="2") == 3
+        assert store.count(scans=["2", 2]) == 14
+        with pytest.raises(esker.QueryError, match="no scan number 10; there are 1, 2, 3, 4"):
+            store.count(scans=10)
+        assert store.hide(2) == ["10"] and store.show([2]) == ["10"]
+        store.remove(2)
+        assert sorted(scan["name"] for scan in store.scans) == ["1", "2", "3"]
+
+
+def test_a_closed_store_is_not_changed(site, tmp_path):
+    esker.ingest(tmp_path / "s.esker", site.files[0])
+    store = esker.open(tmp_path / "s.esker")
+    store.close()
+    for change in (lambda: store.ingest(site.files[1]), lambda: store.remove("site_1"), store.compact, store.digest):
+        with pytest.raises(esker.EskerError, match="closed"):
+            change()

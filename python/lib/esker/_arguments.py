@@ -49,6 +49,25 @@ def whole(value, what):
 
 def names(value, what):
     """A list of strings: several, or one alone."""
+    value = _names(value, what)
+    return None if value is None else [str(name) for name in value]
+
+
+def scans(value, listed):
+    """Names of scans that are given by name or number. A string is a name, or a number where no scan is called so; an int is
+    always a number, the ``id`` of one of the scans that ``listed`` gives."""
+    value = _names(value, "scans")
+    if value is None or all(isinstance(scan, str) for scan in value):
+        return value
+    named = {scan["id"]: scan["name"] for scan in listed()}
+    for number in value:
+        if not isinstance(number, str) and number not in named:
+            numbers = ", ".join(map(str, sorted(named))) or "none"
+            raise QueryError(f"there is no scan number {number}; there are {numbers}")
+    return [scan if isinstance(scan, str) else named[scan] for scan in value]
+
+
+def _names(value, what):
     if value is None:
         return None
     if _is_name(value):
@@ -60,7 +79,7 @@ def names(value, what):
     for name in value:
         if not _is_name(name):
             raise TypeError(f"{what} must be names, not {name!r}")
-    return [str(name) for name in value]
+    return value
 
 
 def _is_name(value):

@@ -213,7 +213,7 @@ class Reader:
         ``where``
             An expression over attributes, ``X``, ``Y``, ``Z`` and ``scan``: ``"Classification in (2, 9) and Z < 100"``.
         ``scans``
-            Names or ids. Hidden scans take part only if they are named.
+            Names, or ids as ints. Hidden scans take part only if they are named.
 
         How fine (everything, if nothing is said):
 
@@ -267,7 +267,7 @@ class Reader:
         """
         keywords = dict(locals())
         del keywords["self"]
-        options = _arguments.query(keywords)
+        options = self._asked(keywords)
         decoded, report = self._reader.query(options)
         answer = Answer(decoded, masked, report)
         if answer.region_misses_site:
@@ -290,7 +290,7 @@ class Reader:
         1000
         """
         size = _count(size, "size")
-        options = _arguments.query(keywords)
+        options = self._asked(keywords)
         return Batches(self._reader.batches(options, size), options["masked"])
 
     def count(self, **keywords: Unpack[QueryKeywords]) -> int:
@@ -299,7 +299,7 @@ class Reader:
         >>> store.count(scans="site_2")
         20000
         """
-        return json.loads(self._reader.count(_arguments.query(keywords)))["points"]
+        return json.loads(self._reader.count(self._asked(keywords)))["points"]
 
     def explain(self, **keywords: Unpack[QueryKeywords]) -> Dict[str, Any]:
         """Why each node is taken, tested, refused or cut for an answer, as the command line's ``query --explain --json``.
@@ -308,7 +308,7 @@ class Reader:
         >>> sum(node["taken"] for node in explanation["nodes"]), explanation["nodes"][0]["verdict"]
         (1000, 'taken')
         """
-        return json.loads(self._reader.explain(_arguments.query(keywords)))
+        return json.loads(self._reader.explain(self._asked(keywords)))
 
     def summary(self, **keywords: Unpack[QueryKeywords]) -> Dict[str, Any]:
         """What the command line's ``query --json`` says of an answer: its error bound, what it cost, and least, greatest
@@ -318,7 +318,7 @@ class Reader:
         >>> summary["points"], [a["name"] for a in summary["attributes"]]
         (60000, ['X', 'Y', 'Z', 'Classification'])
         """
-        return json.loads(self._reader.summary(_arguments.query(keywords)))
+        return json.loads(self._reader.summary(self._asked(keywords)))
 
     def nearest(
         self, points: Any, k: int = 1, radius: Optional[float] = None, **keywords: Unpack[QueryKeywords]
@@ -331,7 +331,7 @@ class Reader:
         (3, True, [0, 3])
         """
         places = _arguments.places(points)
-        options = _arguments.query(keywords)
+        options = self._asked(keywords)
         radius = _arguments.number(radius, "radius")
         found = self._reader.nearest(options, places, _count(k, "k"), radius)
         return Neighbors(found[0], options["masked"], *found[1:])
@@ -344,7 +344,7 @@ class Reader:
         >>> int(density.counts.sum())
         60000
         """
-        options = _arguments.query({"attributes": [], **keywords})
+        options = self._asked({"attributes": [], **keywords})
         return Density(float(side), *self._reader.density(options, side))
 
     def export(
@@ -391,7 +391,7 @@ class Reader:
             if word in keywords:
                 raise TypeError(f"{word} is about arrays; a file has its own form")
         output = _arguments.output(format, scale, frame, split_by, overwrite)
-        options = _arguments.query(dict(keywords))
+        options = self._asked(keywords)
         report, notes = _esker.export(self._reader, options, path, output, _Listener(progress))
         for note in notes:
             _log.warning("%s", note)
@@ -408,6 +408,12 @@ class Reader:
         True
         """
         return json.loads(self._reader.verify(deep))
+
+    def _asked(self, keywords: Any) -> Dict[str, Any]:
+        given = dict(keywords)
+        if "scans" in given:
+            given["scans"] = _arguments.scans(given["scans"], lambda: self.scans)
+        return _arguments.query(given)
 
     def close(self) -> None:
         """Gives up files and memory. Answers that were given stay; an iterator of batches goes on."""
@@ -447,7 +453,7 @@ class Snapshot(Reader):
 class Store(Reader):
     """A store: answers are always of its newest generation, and scans can be added and taken away.
 
-    Use :func:`esker.open`. May be shared by threads; a forked process must open its own.
+    Use :func:`esker.open`. May be shared by threads, not by a forked process.
     """
 
     def __enter__(self) -> Store:
@@ -473,17 +479,18 @@ class Store(Reader):
 
     def ingest(self, inputs: Union[PathLike, Sequence[PathLike]], **keywords: Unpack[IngestKeywords]) -> Dict[str, Any]:
         """Adds point files: :func:`esker.ingest` into this store."""
+        self._check_open()
         return ingest(self._path, inputs, **keywords)
 
     def remove(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
         """Takes scans out, as if they had never been there."""
-        return _changed(_esker.remove, self._path, _arguments.names(scans, "scans") or [], **keywords)
+        return self._changed(_esker.remove, self._named(scans), **keywords)
 
     def replace(
         self, scan: Union[str, int], source: Optional[PathLike] = None, **keywords: Unpack[IngestKeywords]
     ) -> Dict[str, Any]:
         """Puts a file in a scan's place, in one commit; without ``source`` its own file, read again."""
-        return _changed(_esker.replace, self._path, str(scan), source, **keywords)
+        return self._changed(_esker.replace, self._named([scan])[0], source, **keywords)
 
     def hide(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> List[str]:
         """Leaves scans out of answers that do not name them; gives the names of those that were visible.
@@ -491,15 +498,15 @@ class Store(Reader):
         >>> store.hide("site_3"), store.count(), store.show("site_3"), store.count()
         (['site_3'], 40000, ['site_3'], 60000)
         """
-        return _changed(_esker.set_visible, self._path, _arguments.names(scans, "scans") or [], False, **keywords)
+        return self._changed(_esker.set_visible, self._named(scans), False, **keywords)
 
     def show(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> List[str]:
         """Lets hidden scans take part again; gives the names of those that were hidden."""
-        return _changed(_esker.set_visible, self._path, _arguments.names(scans, "scans") or [], True, **keywords)
+        return self._changed(_esker.set_visible, self._named(scans), True, **keywords)
 
     def compact(self, copy: Optional[PathLike] = None, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
         """Makes one layer of all and gives free space back; with ``copy``, in a new file."""
-        return _changed(_esker.compact, self._path, copy, **keywords)
+        return self._changed(_esker.compact, copy, **keywords)
 
     def digest(self, **keywords: Unpack[ChangeKeywords]) -> Dict[str, str]:
         """Two hashes of what the store holds, however it came to hold it: ``points`` and ``scans``.
@@ -507,7 +514,18 @@ class Store(Reader):
         >>> sorted(store.digest())
         ['points', 'scans']
         """
-        return dict(_changed(_esker.digest, self._path, **keywords))
+        return dict(self._changed(_esker.digest, **keywords))
+
+    def _named(self, scans: Any) -> List[str]:
+        return _arguments.scans(scans, lambda: self.scans) or []
+
+    def _changed(self, change: Callable[..., str], *arguments: Any, **keywords: Any) -> Any:
+        self._check_open()
+        return _changed(change, self._path, *arguments, **keywords)
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise EskerError("the store is closed")
 
 
 def open_store(path: PathLike, *, cache: Optional[Union[int, float]] = None) -> Store:

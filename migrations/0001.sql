@@ -55,9 +55,10 @@ CREATE TABLE attribute (
     scaling     BLOB,
     no_data     BLOB,
     description TEXT    NOT NULL,
-    checksum    INTEGER NOT NULL,
-    UNIQUE (name, type)
+    checksum    INTEGER NOT NULL
 ) STRICT;
+
+CREATE UNIQUE INDEX attribute_identity ON attribute (name, type, ifnull(scaling, x''), ifnull(no_data, x''));
 
 CREATE TABLE node (
     layer    INTEGER NOT NULL,

@@ -199,7 +199,11 @@ fn fields(attributes: &[Attribute], give: Give) -> Vec<Field> {
     for (i, a) in attributes.iter().enumerate() {
         let shared =
             fields.iter().any(|f| f.name == a.name) || attributes.iter().filter(|o| o.name == a.name).count() > 1;
-        let name = if shared { format!("{}:{}", a.name, a.ty.word()) } else { a.name.clone() };
+        let plain = if shared { format!("{}:{}", a.name, a.ty.word()) } else { a.name.clone() };
+        // Stored values of several scalings.
+        let taken = |name: &String| fields.iter().any(|f| f.name == *name);
+        let numbered = (2..).map(|n: u32| format!("{plain}.{n}"));
+        let name = [plain.clone()].into_iter().chain(numbered).find(|n| !taken(n)).unwrap_or_default();
         let ty = if a.scaling.is_some() && !give.raw { ScalarType::F64 } else { a.ty };
         fields.push(Field { name, source: Source::Attribute(i), ty });
     }

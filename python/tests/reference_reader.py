@@ -210,7 +210,8 @@ class Store:
                 if slot != SCANS:
                     attribute = self.attributes[slot]
                     dtype = dtype_of(attribute)
-                    for name in FOLLOWS.get(attribute["name"], []) if dtype in ("u1", "u2") else []:
+                    follows = dtype in ("u1", "u2") and is_plain(attribute)
+                    for name in FOLLOWS.get(attribute["name"], []) if follows else []:
                         leader = self.id_of(name, attribute["type"])
                         if leader not in columns:
                             break
@@ -225,8 +226,9 @@ class Store:
         return places + np.array(node.corner), scans, found
 
     def id_of(self, name, type):
-        """An attribute's id, or None."""
-        return next((a["id"] for a in self.attributes.values() if (a["name"], a["type"]) == (name, type)), None)
+        """The id of an attribute without scaling and no-data value, or None."""
+        plain = filter(is_plain, self.attributes.values())
+        return next((a["id"] for a in plain if (a["name"], a["type"]) == (name, type)), None)
 
     def contents(self):
         """Per node what it holds: for each of its parts what :meth:`part` gives."""
@@ -256,6 +258,10 @@ class Store:
             # Python divides integers of any size to the nearest float.
             found[:, axis] = [(start + step * (index - BIAS)) / unit for index in places[:, axis].tolist()]
         return found
+
+
+def is_plain(attribute):
+    return attribute["scaling"] is None and attribute["no_data"] is None
 
 
 def dtype_of(attribute):

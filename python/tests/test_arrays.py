@@ -165,3 +165,36 @@ def test_names_are_looked_up_as_in_filters(site):
     assert "class" in answer and "Red" not in answer and list(answer) == list(answer.names)
     with pytest.raises(KeyError):
         answer["Red"]
+
+
+def test_scans_that_scale_in_different_ways_have_one_field_of_real_values(tmp_path):
+    # The first scan's scale and no-data value were taken for those of all.
+    stored = np.arange(50, dtype=np.int16)
+    kinds = {
+        "a": {"scales": [0.5], "offsets": [10.0], "no_data": [7]},
+        "b": {"scales": [0.01], "offsets": [0.0]},
+        "c": {"no_data": [9]},
+    }
+    for seed, (name, kind) in enumerate(kinds.items()):
+        path = tmp_path / f"{name}.las"
+        write(path, 6, [{"name": "height", "type": "int16", **kind}], seed=seed)
+        las = laspy.read(path)
+        las.points.array["height"] = stored
+        las.write(path)
+    esker.ingest(tmp_path / "s.esker", [tmp_path / "c.las", tmp_path / "a.las", tmp_path / "b.las"])
+    with esker.open(tmp_path / "s.esker") as store:
+        answer = store.query(attributes=["height"], with_scan=True, masked=True)
+        scan_of = {scan["name"]: scan["id"] for scan in store.scans}
+        expected = {"a": stored * 0.5 + 10, "b": stored / 100, "c": stored.astype("f8")}
+        no_data = {"a": 7, "b": None, "c": 9}
+        for name, values in expected.items():
+            found = answer["height"][np.asarray(answer["scan"]) == scan_of[name]]
+            assert np.array_equal(np.sort(found.compressed()), np.sort(np.delete(values, no_data[name] or [])))
+            assert found.mask.sum() == (no_data[name] is not None)
+            assert store.count(scans=name, where="height is null") == (no_data[name] is not None)
+        assert np.isnan(np.asarray(store.query()["height"])).sum() == 2
+        raw = store.query(attributes=["height"], raw=True)
+        assert raw.names == ("x", "y", "z", "height:i16", "height:i16.2", "height:i16.3")
+        assert store.query(attributes=["height"], raw=True, scans="b").names == ("x", "y", "z", "height")
+        (summary,) = [a for a in store.summary()["attributes"] if a["name"] == "height"]
+        assert (summary["count"], summary["min"], summary["max"]) == (148, 0.0, 49.0)

@@ -4,6 +4,7 @@ import shutil
 import sqlite3
 
 import esker
+import laspy
 import numpy as np
 import pytest
 import xxhash
@@ -33,16 +34,30 @@ def rows(columns):
     return sorted(row.tobytes() for row in np.concatenate(octets, axis=1))
 
 
+def names_of(attributes):
+    """What Esker calls attributes in an answer, by id: with the type where it is not the only one, and numbered."""
+    types = ["u8", "i8", "u16", "i16", "u32", "i32", "u64", "i64", "f32", "f64"]
+
+    def order(attribute):
+        scaling = np.frombuffer(attribute["scaling"] or b"", "<u8").tolist()
+        return attribute["name"].encode(), types.index(attribute["type"]), scaling, attribute["no_data"] or b""
+
+    names, all_names = {}, [attribute["name"] for attribute in attributes.values()]
+    for id, attribute in sorted(attributes.items(), key=lambda item: order(item[1])):
+        plain = attribute["name"]
+        if all_names.count(plain) > 1:
+            plain += f":{attribute['type']}"
+        numbered = (f"{plain}.{number}" for number in range(2, 1000))
+        names[id] = next(name for name in [plain, *numbered] if name not in names.values())
+    return names
+
+
 def check_store(path):
     """Every point of the store, with all its attributes, and the tree that the points are in."""
     with Store(path) as reader:
         contents = list(reader.contents())
     places, scans, values = reader.points(contents)
-    names = [attribute["name"] for attribute in reader.attributes.values()]
-
-    def name_of(attribute):
-        return attribute["name"] if names.count(attribute["name"]) == 1 else f"{attribute['name']}:{attribute['type']}"
-
+    name_of = names_of(reader.attributes)
     with esker.open(path) as store:
         answer = store.query(positions="lattice", with_scan=True, raw=True)
         world = store.query(attributes=[]).xyz
@@ -50,11 +65,11 @@ def check_store(path):
     for axis in range(3):
         found.append(places[:, axis] - 0x5555_5555_5555)
         expected.append(np.asarray(answer["XYZ"[axis]]).astype(np.int64))
-    for id, attribute in reader.attributes.items():
+    for id in reader.attributes:
         found.append(values[id])
-        expected.append(np.asarray(answer[name_of(attribute)]))
+        expected.append(np.asarray(answer.columns[name_of[id]]))
         assert found[-1].dtype == expected[-1].dtype
-    assert set(answer.points.dtype.names) == {"X", "Y", "Z", "scan", *map(name_of, reader.attributes.values())}
+    assert set(answer.points.dtype.names) == {"X", "Y", "Z", "scan", *name_of.values()}
     assert rows(found) == rows(expected)
     assert rows([reader.world(places)]) == rows([world])
     for layer in {node.layer for node, _ in contents}:
@@ -136,6 +151,24 @@ def colors(tmp_path, rng):
     return [[write_ply(tmp_path / f"{name}.ply", **surface(rng, points), **c) for name, c in files.items()]]
 
 
+def kinds(tmp_path, rng):
+    """Extra bytes of one name and type that mean something else in each scan; one of these scans is removed."""
+    files = []
+    for i, options in enumerate([{}, {"scales": [0.1]}, {"scales": [0.01]}, {"no_data": 7}]):
+        header = laspy.LasHeader(version="1.4", point_format=6)
+        full = {key: np.array(value, "i2" if key == "no_data" else "f8").reshape(1) for key, value in options.items()}
+        if "scales" in full:
+            full["offsets"] = np.zeros(1)
+        header.add_extra_dims([laspy.ExtraBytesParams(name="height", type="i2", **full)])
+        las = laspy.LasData(header)
+        place = surface(rng, 700)
+        las.x, las.y, las.z = place["x"], place["y"], place["z"]
+        las.points.array["height"] = rng.integers(-9, 9, 700)
+        las.write(tmp_path / f"kind{i}.las")
+        files.append(tmp_path / f"kind{i}.las")
+    return [files[:2], lambda store: store.remove("kind0"), files[2:]]
+
+
 def one_point(tmp_path, rng):
     one = np.array([1.5])
     return [write_ply(tmp_path / "one.ply", x=one, y=one, z=-one, f=np.array([np.nan], "f4"))]
@@ -149,7 +182,7 @@ def few(tmp_path, rng):
     return [[*files, write_ply(tmp_path / "a.ply", **surface(rng, points), **channels, f=rng.normal(size=points))]]
 
 
-GENERATED = [terrain, changed, layers, bits, colors, few, one_point]
+GENERATED = [terrain, changed, layers, bits, colors, few, kinds, one_point]
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 
 mod error;
 mod frame;
+mod joined;
 mod meeting;
 mod plan;
 mod split;

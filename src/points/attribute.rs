@@ -1,5 +1,6 @@
 //! What an attribute is: a name in PDAL's LAS dimension words, and a type.
 
+use super::{Column, Number};
 use serde::{Deserialize, Serialize};
 
 /// The type of one value, little-endian wherever it is bytes.
@@ -70,7 +71,21 @@ pub struct Scaling {
     pub offset: f64,
 }
 
-/// A named, typed value per point. Identity is name and type; the rest describes.
+/// What makes an attribute another one, in canonical order: name, type, scaling (its bits), no-data value (the bytes that
+/// count).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Identity<'a> {
+    /// The name.
+    pub name: &'a str,
+    /// The type of the stored values.
+    pub ty: ScalarType,
+    /// The bits of scale and offset.
+    pub scaling: Option<[u64; 2]>,
+    /// The value that means "no data", zero beyond the bytes of the type.
+    pub no_data: Option<[u8; 8]>,
+}
+
+/// A named, typed value per point. Its [`Identity`] is all but the description.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Attribute {
     /// PDAL's LAS dimension name where there is one: `Intensity`, `ReturnNumber`, `NumberOfReturns`,
@@ -98,9 +113,30 @@ impl Attribute {
         Self { name: name.into(), ty, scaling: None, no_data: None, description: String::new() }
     }
 
-    /// Name and type: the identity, and the canonical order of attributes in a record.
-    pub fn identity(&self) -> (&str, ScalarType) {
-        (&self.name, self.ty)
+    /// What makes it another attribute. The attributes of one scan differ in name or type already.
+    pub fn identity(&self) -> Identity<'_> {
+        let scaling = self.scaling.map(|s| [s.scale.to_bits(), s.offset.to_bits()]);
+        Identity { name: &self.name, ty: self.ty, scaling, no_data: self.no_data_bytes() }
+    }
+
+    /// The stored bytes that mean "no data", as [`Column::raw`](super::Column::raw) gives them: zero beyond those of the type.
+    pub fn no_data_bytes(&self) -> Option<[u8; 8]> {
+        self.no_data.map(|mut bytes| {
+            bytes[self.ty.size()..].fill(0);
+            bytes
+        })
+    }
+
+    /// The stored value that means "no data".
+    pub fn no_data_value(&self) -> Option<Number> {
+        let mut one = Column::with_capacity(self.ty, 1);
+        one.push_raw(self.no_data?);
+        Some(one.number(0))
+    }
+
+    /// How stored values become real ones, where these are others.
+    pub fn real_scaling(&self) -> Option<Scaling> {
+        self.scaling.filter(|s| (s.scale, s.offset) != (1.0, 0.0))
     }
 }
 

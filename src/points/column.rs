@@ -1,6 +1,6 @@
 //! One attribute of many points: a typed vector.
 
-use super::ScalarType;
+use super::{Number, ScalarType};
 
 /// The values of one attribute, one per point.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,6 +124,56 @@ impl Column {
             raw[..bytes.len()].copy_from_slice(&bytes);
         });
         raw
+    }
+
+    /// Value `i` of a column of integers; `None` if it is one of floats.
+    ///
+    /// # Panics
+    ///
+    /// If `i` is out of range.
+    pub fn as_integer(&self, i: usize) -> Option<i128> {
+        match self.number(i) {
+            Number::Unsigned(v) => Some(v.into()),
+            Number::Signed(v) => Some(v.into()),
+            Number::Float(_) => None,
+        }
+    }
+
+    /// Value `i`, exactly.
+    ///
+    /// # Panics
+    ///
+    /// If `i` is out of range.
+    pub fn number(&self, i: usize) -> Number {
+        match self {
+            Self::U8(v) => Number::Unsigned(v[i].into()),
+            Self::U16(v) => Number::Unsigned(v[i].into()),
+            Self::U32(v) => Number::Unsigned(v[i].into()),
+            Self::U64(v) => Number::Unsigned(v[i]),
+            Self::I8(v) => Number::Signed(v[i].into()),
+            Self::I16(v) => Number::Signed(v[i].into()),
+            Self::I32(v) => Number::Signed(v[i].into()),
+            Self::I64(v) => Number::Signed(v[i]),
+            Self::F32(v) => Number::Float(v[i].into()),
+            Self::F64(v) => Number::Float(v[i]),
+        }
+    }
+
+    /// Appends a value by its bytes, as [`Column::raw`] gives them.
+    pub fn push_raw(&mut self, raw: [u8; 8]) {
+        let [a, b, c, d, ..] = raw;
+        match self {
+            Self::U8(v) => v.push(a),
+            Self::I8(v) => v.push(i8::from_le_bytes([a])),
+            Self::U16(v) => v.push(u16::from_le_bytes([a, b])),
+            Self::I16(v) => v.push(i16::from_le_bytes([a, b])),
+            Self::U32(v) => v.push(u32::from_le_bytes([a, b, c, d])),
+            Self::I32(v) => v.push(i32::from_le_bytes([a, b, c, d])),
+            Self::F32(v) => v.push(f32::from_le_bytes([a, b, c, d])),
+            Self::U64(v) => v.push(u64::from_le_bytes(raw)),
+            Self::I64(v) => v.push(i64::from_le_bytes(raw)),
+            Self::F64(v) => v.push(f64::from_le_bytes(raw)),
+        }
     }
 
     /// Appends value `i` of `other`, which must have the same type.

@@ -10,7 +10,7 @@ mod provenance;
 mod record;
 mod wkt;
 
-pub use attribute::{Attribute, ScalarType, Scaling, angle_steps, canonical_name, same_name};
+pub use attribute::{Attribute, Identity, ScalarType, Scaling, angle_steps, canonical_name, same_name};
 pub use batch::{Batch, Positions};
 pub use column::Column;
 pub use number::Number;

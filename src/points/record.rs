@@ -57,7 +57,7 @@ pub struct RecordLayout {
     pub position: PositionKind,
     /// Bytes after the position.
     pub payload: usize,
-    /// The attributes, in canonical order: by name, then type.
+    /// The attributes, in canonical order; no two have one name and one type.
     pub attributes: Arc<[Attribute]>,
     /// Where each attribute is.
     pub fields: Vec<Field>,
@@ -81,7 +81,8 @@ impl RecordLayout {
             let bits = matches!(field.kind, FieldKind::Bits { .. });
             assert!(!bits || attribute.ty == ScalarType::U8, "{} is not u8", attribute.name);
         }
-        assert!(fields.windows(2).all(|w| w[0].0.identity() != w[1].0.identity()), "two attributes are the same");
+        let same = |a: &Attribute, b: &Attribute| (&a.name, a.ty) == (&b.name, b.ty);
+        assert!(fields.windows(2).all(|w| !same(&w[0].0, &w[1].0)), "two attributes are the same");
         let (attributes, fields): (Vec<_>, Vec<_>) = fields.into_iter().unzip();
         Self { position, payload, attributes: attributes.into(), fields }
     }

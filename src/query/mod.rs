@@ -18,6 +18,7 @@ mod explain_text;
 mod extent;
 mod filter;
 mod gaps;
+pub(crate) mod kinds;
 mod mask;
 mod near;
 mod nearest;

@@ -31,17 +31,19 @@ impl Query {
     /// As [`Query::run`].
     pub fn output_form(&self, snapshot: &Snapshot) -> Result<OutputForm, QueryError> {
         let plan = Plan::new(self, snapshot)?;
-        let wanted = |id: ScanId| plan.scans.as_ref().is_none_or(|s| s.binary_search(&id).is_ok());
-        let asked = || snapshot.scans().iter().filter(|s| wanted(s.id));
-        let meets = |s: &&Scan| s.bounds.is_some_and(|b| plan.region.classify(&b) != Containment::Outside);
-        let mut scans: Vec<ScanId> = asked().filter(meets).map(|s| s.id).collect();
-        if scans.is_empty() {
-            scans = asked().map(|s| s.id).collect();
-        }
+        let scans = contributing(snapshot, plan.scans.as_deref(), &plan.region);
         let stored = snapshot.scans().iter().filter(|s| scans.binary_search(&s.id).is_ok()).filter_map(|s| s.bounds);
         let bounds = stored.reduce(|a, b| a.union(&b)).map(|all| close_around(all, &plan.region));
         Ok(OutputForm { attributes: plan.attributes.clone(), scans, bounds })
     }
+}
+
+/// The scans that can contribute: those of `asked` (`None`: all) whose bounds meet the region; all of them if there is none.
+pub(super) fn contributing(snapshot: &Snapshot, asked: Option<&[ScanId]>, region: &LatticeRegion) -> Vec<ScanId> {
+    let asked = || snapshot.scans().iter().filter(|s| asked.is_none_or(|ids| ids.binary_search(&s.id).is_ok()));
+    let meets = |s: &&Scan| s.bounds.is_some_and(|b| region.classify(&b) != Containment::Outside);
+    let scans: Vec<ScanId> = asked().filter(meets).map(|s| s.id).collect();
+    if scans.is_empty() { asked().map(|s| s.id).collect() } else { scans }
 }
 
 /// A box that holds all of `region` that is in `all`: each side is brought in as far as what it leaves is certainly outside.

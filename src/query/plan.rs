@@ -3,9 +3,11 @@
 use super::answer::{Answer, Meter};
 use super::cancel::Cancel;
 use super::filter::{BoundFilter, Known, Names, attributes_named};
+use super::kinds::Kinds;
 use super::mask::Mask;
+use super::output::contributing;
 use super::region::LatticeRegion;
-use super::{Attributes, Query, QueryError, Region, error::nearest};
+use super::{Attributes, Filter, Query, QueryError, Region, error::nearest};
 use crate::geometry::Containment;
 use crate::lattice::{BITS, Cube, Lattice, LatticeBox, LatticePoint};
 use crate::octree::Metric;
@@ -74,11 +76,16 @@ impl Plan {
         let start = Instant::now();
         let site = snapshot.site();
         query.region.check_coordinates(site.crs.as_ref(), bounds_in_plan(snapshot))?;
-        let names = Names { attributes: snapshot.attributes(), scans: snapshot.scans(), lattice: &site.lattice };
-        let filter = query.filter.as_ref().map(|f| f.bind(&names)).transpose()?;
+        let scans = matching_scans(query, snapshot)?;
+        let region = query.region.on_lattice(&site.lattice)?;
+        let bind = |filter: &Filter| {
+            let met = Kinds::of(snapshot, &contributing(snapshot, scans.as_deref(), &region));
+            let attributes = snapshot.attributes();
+            filter.bind(&Names { attributes, scans: snapshot.scans(), lattice: &site.lattice, met: &met })
+        };
+        let filter = query.filter.as_ref().map(bind).transpose()?;
         let slots = filter.as_ref().map_or_else(Vec::new, BoundFilter::slots);
         let filter_columns = slots.into_iter().filter_map(|s| Some((s, snapshot.attribute(s)?.attribute.ty))).collect();
-        let scans = matching_scans(query, snapshot)?;
         let columns = columns(&query.attributes, scans.as_deref(), snapshot)?;
         let attributes = columns.iter().map(|c| c.attribute.clone()).collect();
         let nodes = snapshot.nodes();
@@ -88,7 +95,7 @@ impl Plan {
             nodes,
             lattice: site.lattice.clone(),
             g: site.g,
-            region: query.region.on_lattice(&site.lattice)?,
+            region,
             taken: None,
             filter,
             filter_columns,
@@ -327,20 +334,18 @@ fn matching_scans(query: &Query, snapshot: &Snapshot) -> Result<Option<Vec<ScanI
     Ok((scans.len() < all.len()).then_some(scans))
 }
 
-/// The attributes to return, in canonical order: name, then type.
+/// The attributes to return, in canonical order. Of several of one name those that a scan has whose points are asked for.
 fn columns(
     asked: &Attributes,
     scans: Option<&[ScanId]>,
     snapshot: &Snapshot,
 ) -> Result<Vec<StoredAttribute>, QueryError> {
     let all = snapshot.attributes();
+    let contributing = snapshot.scans().iter().filter(|s| scans.is_none_or(|ids| ids.contains(&s.id)));
+    let slots: std::collections::BTreeSet<Slot> = contributing.flat_map(|s| s.attributes.iter().copied()).collect();
     let mut columns: Vec<StoredAttribute> = match asked {
         Attributes::None => Vec::new(),
-        Attributes::All => {
-            let contributing = snapshot.scans().iter().filter(|s| scans.is_none_or(|ids| ids.contains(&s.id)));
-            let slots: std::collections::BTreeSet<Slot> = contributing.flat_map(|s| s.attributes.clone()).collect();
-            all.iter().filter(|a| slots.contains(&a.id)).cloned().collect()
-        }
+        Attributes::All => all.iter().filter(|a| slots.contains(&a.id)).cloned().collect(),
         Attributes::Named(names) => {
             let mut columns = Vec::new();
             for name in names {
@@ -349,7 +354,9 @@ fn columns(
                     let nearest = nearest(name, all.iter().map(|a| a.attribute.name.as_str()));
                     return Err(QueryError::UnknownAttribute { name: name.clone(), nearest });
                 }
-                columns.extend(found.into_iter().cloned());
+                let is_there = |a: &StoredAttribute| slots.contains(&a.id);
+                let some = found.iter().any(|a| is_there(a));
+                columns.extend(found.into_iter().filter(|a| !some || is_there(a)).cloned());
             }
             columns
         }

@@ -11,7 +11,7 @@ pub enum Attributes {
     All,
     /// Positions alone.
     None,
-    /// Those of these names, looked up as in a filter; a name stands for all types it has.
+    /// Those of these names, looked up as in a filter; a name stands for all types and scalings it has.
     Named(Vec<String>),
 }
 
@@ -100,6 +100,17 @@ impl Query {
     #[must_use]
     pub fn attributes<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
         self.attributes = Attributes::Named(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// This attribute, too.
+    #[must_use]
+    pub(crate) fn with_attribute(mut self, name: &str) -> Self {
+        self.attributes = match self.attributes {
+            Attributes::All => Attributes::All,
+            Attributes::None => Attributes::Named(vec![name.into()]),
+            Attributes::Named(names) => Attributes::Named(names.into_iter().chain([name.into()]).collect()),
+        };
         self
     }
 

@@ -123,8 +123,18 @@ impl Form {
             let running = summary.axes[axis].in_world(&self.lattice, axis);
             running.summary(["X", "Y", "Z"][axis], "coordinate")
         });
-        let attributes = self.attributes.iter().zip(&summary.columns);
-        axes.chain(attributes.map(|((a, _), values)| values.summary(a))).collect()
+        // What scans scale in several ways is one attribute to a user.
+        let mut joined: Vec<(Attribute, Values)> = Vec::new();
+        for ((attribute, _), values) in self.attributes.iter().zip(&summary.columns) {
+            match joined.last_mut() {
+                Some((same, all)) if (&same.name, same.ty) == (&attribute.name, attribute.ty) => {
+                    all.add(values);
+                    same.scaling = same.scaling.or(attribute.scaling);
+                }
+                _ => joined.push((attribute.clone(), *values)),
+            }
+        }
+        axes.chain(joined.iter().map(|(attribute, values)| values.summary(attribute))).collect()
     }
 }
 

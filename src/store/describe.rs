@@ -5,7 +5,7 @@ use super::info::info;
 use super::model::{Range, Scan, Slot, Zones};
 use super::snapshot::Snapshot;
 use crate::lattice::{BITS, Decimal, Lattice, LatticeBox, LatticePoint};
-use crate::points::{Attribute, Number};
+use crate::points::{Attribute, Number, Scaling};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -97,6 +97,12 @@ pub struct AttributeCost {
     /// attributes that have a value for "no data".
     #[serde(rename = "min_max", skip_serializing_if = "Option::is_none")]
     pub range: Option<[Number; 2]>,
+    /// What makes real values of stored ones.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scaling: Option<Scaling>,
+    /// The stored value that means "no data".
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub no_data: Option<Number>,
 }
 
 /// A scan of a store.
@@ -177,9 +183,14 @@ pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
     let stored = info.attribute_bytes.iter().filter_map(|&(slot, bytes)| {
         let attribute = &snapshot.attribute(slot)?.attribute;
         let range = (attribute.no_data.is_none()).then(|| range_of(slot, attribute, &zones)).flatten();
-        Some(AttributeCost { name: attribute.name.clone(), ty: attribute.ty.word(), bytes, range })
+        let (name, ty) = (attribute.name.clone(), attribute.ty.word());
+        let (scaling, no_data) = (attribute.scaling, attribute.no_data_value());
+        Some(AttributeCost { name, ty, bytes, range, scaling, no_data })
     });
-    let cost = |name: &str, ty, bytes| std::iter::once(AttributeCost { name: name.into(), ty, bytes, range: None });
+    let cost = |name: &str, ty, bytes| {
+        let own = AttributeCost { name: name.into(), ty, bytes, range: None, scaling: None, no_data: None };
+        std::iter::once(own)
+    };
     let attributes = cost("position", "3 x u48", info.position_bytes).chain(stored);
     Ok(Description {
         points: info.points,

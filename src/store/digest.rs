@@ -8,7 +8,7 @@ use super::model::{Scan, ScanId, Slot};
 use super::snapshot::Snapshot;
 use crate::codec::Decoder;
 use crate::lattice::{Cube, Key};
-use crate::points::Column;
+use crate::points::{Column, Identity};
 use blake3::{Hash, Hasher};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -132,7 +132,7 @@ impl<'a> Digester<'a> {
 /// What a record's scan contributes to it.
 pub(super) struct ScanFacts {
     pub identity: [u8; 32],
-    /// Hash of the names and types of the attributes in canonical order.
+    /// Hash of the identities of the attributes in canonical order.
     set: [u8; 32],
     /// The attributes in canonical order: column and bytes of a value.
     pub attributes: Vec<(Slot, usize)>,
@@ -150,13 +150,22 @@ impl ScanFacts {
         }
         attributes.sort();
         let mut set = Hasher::new();
-        for ((name, ty), _) in &attributes {
+        for (Identity { name, ty, scaling, no_data }, _) in &attributes {
             set.update(&(name.len() as u64).to_le_bytes());
             set.update(name.as_bytes());
             set.update(ty.word().as_bytes());
             set.update(b"\0");
+            set.update(&[scaling.is_some().into()]);
+            if let Some([scale, offset]) = scaling {
+                set.update(&scale.to_le_bytes());
+                set.update(&offset.to_le_bytes());
+            }
+            set.update(&[no_data.is_some().into()]);
+            if let Some(bytes) = no_data {
+                set.update(bytes);
+            }
         }
-        let attributes = attributes.iter().map(|((_, ty), slot)| (*slot, ty.size())).collect();
+        let attributes = attributes.iter().map(|(identity, slot)| (*slot, identity.ty.size())).collect();
         Ok(Self { identity: scan.identity, set: set.finalize().into(), attributes })
     }
 }

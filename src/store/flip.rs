@@ -3,7 +3,7 @@
 use super::error::RowError;
 use super::flip_check::{self, Changed};
 use super::index::NodeIndex;
-use super::model::{NodeHead, Scan, ScanId, StoredAttribute, Zones};
+use super::model::{NodeHead, Scan, ScanId, Slot, StoredAttribute, Zones};
 use super::rows::{self, SiteRow};
 use super::snapshot::facts;
 use crate::lattice::Cube;
@@ -47,13 +47,14 @@ pub enum NodeChange {
 }
 
 /// Writes the change inside a transaction that the caller has begun and will end. `base` is the site's row before it,
-/// with the ids given out since; all `attributes` are written that are not there yet.
+/// with the ids given out since; those of `attributes` are written that are not there yet, and those removed that no scan
+/// has any more. Returns the site's row and the attributes after it.
 pub(super) fn flip(
     connection: &Connection,
     base: &SiteRow,
     attributes: &[StoredAttribute],
     change: Flip,
-) -> Result<SiteRow, RowError> {
+) -> Result<(SiteRow, Vec<StoredAttribute>), RowError> {
     let mut site = base.clone();
     site.site.generation += 1;
     if let Some(roots) = change.roots {
@@ -65,7 +66,6 @@ pub(super) fn flip(
     for attribute in attributes.iter().skip(usize::try_from(base.attributes).unwrap_or(usize::MAX)) {
         rows::put_attribute(connection, attribute)?;
     }
-    site.attributes = attributes.len() as u64;
     let removed = change.scans_removed.iter().chain(change.scans_changed.iter().map(|s| &s.id));
     for &id in removed {
         if !rows::delete_scan(connection, id)? {
@@ -78,18 +78,20 @@ pub(super) fn flip(
         }
         rows::put_scan(connection, scan)?;
     }
-    site.scans = count(connection, "scan")?;
+    let scans = rows::load_scans(connection)?;
+    site.scans = scans.len() as u64;
+    let used: BTreeSet<Slot> = scans.iter().flat_map(|s| s.attributes.iter().copied()).collect();
+    let (kept, unused): (Vec<_>, Vec<_>) = attributes.iter().cloned().partition(|a| used.contains(&a.id));
+    for attribute in unused {
+        rows::delete_attribute(connection, attribute.id)?;
+    }
+    site.attributes = kept.len() as u64;
     let Put { old, new, nodes, changed } = put_nodes(connection, base, change.nodes)?;
     site.nodes = nodes;
     put_garbage(connection, old, &new)?;
     rows::put_site(connection, &site)?;
     check(connection, changed.as_ref())?;
-    Ok(site)
-}
-
-fn count(connection: &Connection, table: &str) -> Result<u64, RowError> {
-    let n: i64 = connection.query_row(&format!("SELECT count(*) FROM {table}"), [], |row| row.get(0))?;
-    Ok(n.unsigned_abs())
+    Ok((site, kept))
 }
 
 /// The chunk rows of nodes: first id to the id after the last.

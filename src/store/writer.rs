@@ -174,7 +174,8 @@ impl Writer {
         &self.attributes
     }
 
-    /// The numbers of these attributes; those that are new (by name and type) are written with the next commit.
+    /// The numbers of these attributes; those that are new (by their identity) are written with the next commit, which
+    /// removes those that no scan has then.
     ///
     /// # Errors
     ///
@@ -191,7 +192,8 @@ impl Writer {
                         let what = "there are too many attributes".into();
                         return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
                     }
-                    self.attributes.push(StoredAttribute { id, attribute: attribute.clone() });
+                    let attribute = Attribute { no_data: attribute.no_data_bytes(), ..attribute.clone() };
+                    self.attributes.push(StoredAttribute { id, attribute });
                     id
                 }
             };
@@ -338,18 +340,18 @@ impl Writer {
         }
         self.begin_log()?;
         let base = SiteRow { next_chunk: self.ids.next(), next_scan: self.next_scan, ..self.site.clone() };
-        let site = self.run(|c| {
+        let (site, attributes) = self.run(|c| {
             patiently(c, connection::PATIENCE, stop, "PRAGMA synchronous = FULL; BEGIN IMMEDIATE")?;
-            let done = flip(c, &base, &self.attributes, change).and_then(|site| {
+            let done = flip(c, &base, &self.attributes, change).and_then(|flipped| {
                 c.execute_batch("COMMIT")?;
-                Ok(site)
+                Ok(flipped)
             });
             if done.is_err() && !c.is_autocommit() {
                 c.execute_batch("ROLLBACK")?;
             }
             done
         })?;
-        self.site = site;
+        (self.site, self.attributes) = (site, attributes);
         // From here on the change is made: what fails now is done by the next writer.
         let removed_rows = self.remove_garbage().unwrap_or(0);
         let log_truncated = self.tidy();

@@ -13,6 +13,7 @@ mod fidelity;
 mod floors;
 mod growth;
 mod histories;
+mod kinds;
 mod memory;
 mod outofcore;
 mod outputs;

@@ -174,6 +174,21 @@ impl Random {
     }
 }
 
+/// A LAS 1.2 file with one more variable length record.
+pub fn with_vlr(file: &[u8], user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
+    let number = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap());
+    let (points, vlrs) = (number(96), number(100));
+    let mut head = [0; 54];
+    head[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
+    head[18..20].copy_from_slice(&record_id.to_le_bytes());
+    head[20..22].copy_from_slice(&(data.len() as u16).to_le_bytes());
+    let (before, after) = file.split_at(points as usize);
+    let mut longer = [before, &head, data, after].concat();
+    longer[96..100].copy_from_slice(&(points + 54 + data.len() as u32).to_le_bytes());
+    longer[100..104].copy_from_slice(&(vlrs + 1).to_le_bytes());
+    longer
+}
+
 /// A small LAS 1.2 file on a grid of 0.01, of point format 0 to 3.
 pub struct TinyLas {
     format: u8,

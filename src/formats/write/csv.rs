@@ -95,7 +95,7 @@ impl CsvWriter {
             return;
         }
         let out = &mut self.text;
-        match (self.scaled[column], integer(values, i)) {
+        match (self.scaled[column], values.as_integer(i)) {
             (Some(Scaled::Exact(exact)), Some(n)) => exact.push(out, n),
             (Some(Scaled::Float(s)), _) => push_f64(out, values.as_f64(i) * s.scale + s.offset),
             (Some(Scaled::Exact(_)), None) => {
@@ -123,21 +123,6 @@ impl CsvWriter {
         self.text.clear();
         Ok(())
     }
-}
-
-/// Value `i` of a column of integers.
-fn integer(values: &Column, i: usize) -> Option<i128> {
-    Some(match values {
-        Column::U8(v) => v[i].into(),
-        Column::U16(v) => v[i].into(),
-        Column::U32(v) => v[i].into(),
-        Column::U64(v) => v[i].into(),
-        Column::I8(v) => v[i].into(),
-        Column::I16(v) => v[i].into(),
-        Column::I32(v) => v[i].into(),
-        Column::I64(v) => v[i].into(),
-        Column::F32(_) | Column::F64(_) => return None,
-    })
 }
 
 /// A name, in quotes if it needs them (RFC 4180).

@@ -6,6 +6,7 @@ use super::set::{DecimalSet, ValueSet};
 use crate::lattice::{Decimal, Lattice, LatticePoint};
 use crate::points::{ScalarType, Scaling, canonical_name, same_name};
 use crate::query::error::{did_you_mean, nearest};
+use crate::query::kinds::{Kinds, Widening};
 use crate::store::model::{Scan, ScanId, Slot, StoredAttribute};
 
 /// What a filter is bound to.
@@ -13,6 +14,8 @@ pub(crate) struct Names<'a> {
     pub attributes: &'a [StoredAttribute],
     pub scans: &'a [Scan],
     pub lattice: &'a Lattice,
+    /// What the answer makes of kinds that meet in it: a filter sees the same values.
+    pub met: &'a Kinds,
 }
 
 /// A filter on columns.
@@ -40,6 +43,8 @@ pub(super) struct Source {
     pub ty: ScalarType,
     /// For comparisons with other attributes.
     pub scaling: Option<Scaling>,
+    /// What becomes of its integers where they meet those of another kind.
+    pub widening: Option<Widening>,
     /// The stored bytes that mean null.
     pub no_data: Option<[u8; 8]>,
     /// The scans that have it, ascending; `None`: all.
@@ -175,7 +180,8 @@ fn values(text: &str, name: &Name, set: &DecimalSet, names: &Names) -> Result<Bo
                 None => (Decimal::new(1, 0), Decimal::ZERO),
                 Some(s) => (Decimal::from_f64(s.scale)?, Decimal::from_f64(s.offset)?),
             };
-            set.on_integers(scale, offset)
+            let set = set.on_integers(scale, offset)?;
+            Some(source.widening.map_or_else(|| set.clone(), |widening| set.before(widening, source.ty)))
         };
         let exact = if source.ty.is_float() { None } else { exact() };
         let set = exact.unwrap_or_else(|| set.on_floats(source.scaling));
@@ -185,7 +191,7 @@ fn values(text: &str, name: &Name, set: &DecimalSet, names: &Names) -> Result<Bo
 }
 
 /// The columns that a name stands for: those of exactly this name, else of the same name but for case and underscores,
-/// else those of the LAS dimension that is also called so. There may be several, of different types.
+/// else those of the LAS dimension that is also called so. There may be several, of different types and scalings.
 fn sources(text: &str, name: &Name, names: &Names) -> Result<Vec<Source>, FilterError> {
     let found = attributes_named(&name.name, names.attributes);
     if found.is_empty() {
@@ -194,25 +200,28 @@ fn sources(text: &str, name: &Name, names: &Names) -> Result<Vec<Source>, Filter
         let hint = if is_scan(name) { "scans are compared by =, <> or \"in\"".into() } else { message };
         return Err(FilterError::new(hint, text, name.at));
     }
-    let source = |a: &StoredAttribute| {
-        let having: Vec<ScanId> = names.scans.iter().filter(|s| s.attributes.contains(&a.id)).map(|s| s.id).collect();
-        let scans = (having.len() < names.scans.len()).then(|| {
-            let mut having = having;
-            having.sort_unstable();
-            having
-        });
-        let significant = |mut bytes: [u8; 8]| {
-            bytes[a.attribute.ty.size()..].fill(0);
-            bytes
+    let mut sources = Vec::new();
+    for StoredAttribute { id, attribute } in found {
+        let mut having: Vec<ScanId> = names.scans.iter().filter(|s| s.attributes.contains(id)).map(|s| s.id).collect();
+        having.sort_unstable();
+        let (scaling, no_data) = if name.raw { (None, None) } else { (attribute.scaling, attribute.no_data_bytes()) };
+        let mut source = |scans: Vec<ScanId>, widening| {
+            let scans = (scans.len() < names.scans.len()).then_some(scans);
+            sources.push(Source { slot: *id, ty: attribute.ty, scaling, widening, no_data, scans });
         };
-        let (scaling, no_data) =
-            if name.raw { (None, None) } else { (a.attribute.scaling, a.attribute.no_data.map(significant)) };
-        Source { slot: a.id, ty: a.attribute.ty, scaling, no_data, scans }
-    };
-    Ok(found.into_iter().map(source).collect())
+        let is_widened = |&scan: &ScanId| !name.raw && names.met.widening(*id, scan).is_some();
+        let (widened, plain): (Vec<ScanId>, Vec<ScanId>) = having.into_iter().partition(is_widened);
+        if let Some(&first) = widened.first() {
+            source(widened.clone(), names.met.widening(*id, first));
+        }
+        if widened.is_empty() || !plain.is_empty() {
+            source(plain, None);
+        }
+    }
+    Ok(sources)
 }
 
-/// The attributes that a user means by `name`; several if types differ.
+/// The attributes that a user means by `name`; several if types or scalings differ.
 pub(crate) fn attributes_named<'a>(name: &str, attributes: &'a [StoredAttribute]) -> Vec<&'a StoredAttribute> {
     let with = |test: &dyn Fn(&str) -> bool| -> Vec<&'a StoredAttribute> {
         attributes.iter().filter(|a| test(&a.attribute.name)).collect()

@@ -220,6 +220,9 @@ fn value(sources: &[Source], block: &Block, i: usize) -> Option<Value> {
         if !has || source.no_data.is_some_and(|n| column.raw(i) == n) {
             return None;
         }
+        if let (Some(widening), Some(stored)) = (source.widening, column.as_integer(i)) {
+            return Some(Value::Integer(widening.of(stored)));
+        }
         Some(match (source.scaling, column) {
             (Some(_), column) => Value::Float(scaled(source.scaling, column.as_f64(i))),
             (None, Column::F32(v)) => Value::Float(v[i].into()),

@@ -23,6 +23,7 @@ mod tests;
 mod zones;
 
 use super::block::Block;
+use super::kinds::Kinds;
 use super::mask::Mask;
 use crate::store::Snapshot;
 use crate::store::model::Slot;
@@ -94,7 +95,7 @@ impl Filter {
     /// written in double quotes, `"x"`.
     pub fn ambiguous_names(&self, snapshot: &Snapshot) -> Vec<&str> {
         let (attributes, scans, lattice) = (snapshot.attributes(), snapshot.scans(), &snapshot.site().lattice);
-        bind::ambiguous(&self.expression, &Names { attributes, scans, lattice })
+        bind::ambiguous(&self.expression, &Names { attributes, scans, lattice, met: &Kinds::default() })
     }
 
     /// The filter on the columns of one store.

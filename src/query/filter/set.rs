@@ -2,7 +2,8 @@
 
 use super::parser::Relation;
 use crate::lattice::Decimal;
-use crate::points::Scaling;
+use crate::points::{ScalarType, Scaling};
+use crate::query::kinds::Widening;
 
 /// One end of an interval of exact decimals.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,6 +126,25 @@ fn floor(value: Decimal) -> (i128, bool) {
 }
 
 impl ValueSet {
+    /// The stored integers of a type that become one of these.
+    pub fn before(&self, widening: Widening, ty: ScalarType) -> Self {
+        let (low, high) = match ty {
+            ScalarType::I8 => (-128, 127),
+            ScalarType::U8 => (0, 255),
+            _ => (0, 65_535),
+        };
+        let mut intervals: Vec<(i128, i128)> = Vec::new();
+        for stored in low..=high {
+            let value = widening.of(stored);
+            match intervals.last_mut() {
+                _ if !self.meets_integers(value, value).0 => {}
+                Some(last) if last.1 + 1 == stored => last.1 = stored,
+                _ => intervals.push((stored, stored)),
+            }
+        }
+        Self::Integers(intervals)
+    }
+
     /// Can a stored value within `[low, high]` be in the set; can one be outside it? Both conservative.
     pub fn meets_integers(&self, low: i128, high: i128) -> (bool, bool) {
         match self {

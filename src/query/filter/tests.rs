@@ -4,6 +4,7 @@ use super::*;
 use crate::lattice::{BIAS, Exactness, Lattice, LatticeBox, LatticePoint};
 use crate::points::{Attribute, Column, Positions, ScalarType, Scaling};
 use crate::query::block::BlockScans;
+use crate::query::kinds::Kinds;
 use crate::store::model::{Range, Rejected, Scan, StoredAttribute};
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -14,12 +15,16 @@ const TIME: Slot = 4;
 const HEIGHT: Slot = 5;
 const ANGLE_8: Slot = 6;
 const ANGLE_16: Slot = 7;
+const FINE_HEIGHT: Slot = 8;
 
 fn attributes() -> Vec<StoredAttribute> {
     let plain = |id, name: &str, ty| StoredAttribute { id, attribute: Attribute::new(name, ty) };
     let mut height = plain(HEIGHT, "tree_height", ScalarType::I16);
     height.attribute.scaling = Some(Scaling { scale: 0.1, offset: -2.0 });
     height.attribute.no_data = Some([0xf1, 0xd8, 7, 7, 7, 7, 7, 7]);
+    // The same name and type in another scan, which has no value that means "no data".
+    let mut fine = plain(FINE_HEIGHT, "tree_height", ScalarType::I16);
+    fine.attribute.scaling = Some(Scaling { scale: 0.01, offset: 0.0 });
     vec![
         plain(CLASS, "Classification", ScalarType::U8),
         plain(STAMP, "stamp", ScalarType::U64),
@@ -27,6 +32,7 @@ fn attributes() -> Vec<StoredAttribute> {
         height,
         plain(ANGLE_8, "ScanAngleRank", ScalarType::I8),
         plain(ANGLE_16, "ScanAngleRank", ScalarType::I16),
+        fine,
     ]
 }
 
@@ -57,7 +63,10 @@ fn scan(id: u32, name: &str, attributes: &[Slot]) -> Scan {
 }
 
 fn scans() -> Vec<Scan> {
-    vec![scan(3, "north", &[CLASS, STAMP, TIME, HEIGHT, ANGLE_8]), scan(1, "roof", &[CLASS, TIME, ANGLE_16])]
+    vec![
+        scan(3, "north", &[CLASS, STAMP, TIME, HEIGHT, ANGLE_8]),
+        scan(1, "roof", &[CLASS, TIME, ANGLE_16, FINE_HEIGHT]),
+    ]
 }
 
 #[derive(Clone, Debug)]
@@ -79,7 +88,7 @@ fn point() -> impl Strategy<Value = Point> {
         |(north, x, class, stamp, time, height, angle)| {
             let x = x + BIAS as u64;
             // A scan that lacks an attribute has zeros in the column.
-            let (stamp, height) = if north { (stamp, height) } else { (0, 0) };
+            let stamp = if north { stamp } else { 0 };
             Point { scan: if north { 3 } else { 1 }, x, class, stamp, time, height, angle }
         },
     )
@@ -97,12 +106,13 @@ fn block(points: &[Point]) -> Block {
             (CLASS, Some(Column::U8(points.iter().map(|p| p.class).collect()))),
             (STAMP, Some(Column::U64(each(&|p| p.stamp)))),
             (TIME, Some(Column::F64(points.iter().map(|p| p.time).collect()))),
-            (HEIGHT, Some(Column::I16(points.iter().map(|p| p.height).collect()))),
+            (HEIGHT, Some(Column::I16(points.iter().map(|p| if p.scan == 3 { p.height } else { 0 }).collect()))),
             (ANGLE_8, Some(Column::I8(points.iter().map(|p| if p.scan == 3 { p.angle } else { 0 }).collect()))),
             (
                 ANGLE_16,
                 Some(Column::I16(points.iter().map(|p| if p.scan == 1 { p.angle.into() } else { 0 }).collect())),
             ),
+            (FINE_HEIGHT, Some(Column::I16(points.iter().map(|p| if p.scan == 1 { p.height } else { 0 }).collect()))),
         ]
         .map(|(slot, column)| (slot, column.map(Arc::new)))
         .to_vec(),
@@ -111,7 +121,21 @@ fn block(points: &[Point]) -> Block {
 
 fn bind_text(text: &str) -> Result<BoundFilter, FilterError> {
     let (attributes, scans, lattice) = (attributes(), scans(), Lattice::uniform(0.25).unwrap());
-    Filter::parse(text)?.bind(&Names { attributes: &attributes, scans: &scans, lattice: &lattice })
+    let met = Kinds::of_scans(&attributes, scans.iter());
+    Filter::parse(text)?.bind(&Names { attributes: &attributes, scans: &scans, lattice: &lattice, met: &met })
+}
+
+/// In hundredths.
+fn real_height(p: &Point) -> Option<i32> {
+    match p.scan {
+        3 => (p.height != NO_HEIGHT).then_some(10 * i32::from(p.height) - 200),
+        _ => Some(p.height.into()),
+    }
+}
+
+/// Whole degrees meet steps of 0.006 degrees, and are such.
+fn steps(p: &Point) -> i16 {
+    if p.scan == 3 { (f64::from(p.angle) / 0.006).round() as i16 } else { p.angle.into() }
 }
 
 type Naive = fn(&Point) -> Option<bool>;
@@ -138,12 +162,16 @@ const PREDICATES: &[(&str, Naive)] = &[
     ("gps_time > 0.1", |p| (!p.time.is_nan()).then_some(p.time > 0.1)),
     ("GpsTime != 2", |p| (!p.time.is_nan()).then_some(p.time != 2.0)),
     ("GpsTime is not null", |_| Some(true)),
-    ("treeheight = 0.3", |p| (p.scan == 3 && p.height != NO_HEIGHT).then_some(p.height == 23)),
-    ("tree_height >= 0.35", |p| (p.scan == 3 && p.height != NO_HEIGHT).then_some(p.height >= 24)),
-    ("tree_height is null", |p| Some(p.scan != 3 || p.height == NO_HEIGHT)),
-    ("raw(tree_height) = -9999", |p| (p.scan == 3).then_some(p.height == NO_HEIGHT)),
-    ("scan_angle > 0", |p| Some(p.angle > 0)),
-    ("ScanAngleRank = -2", |p| Some(p.angle == -2)),
+    ("treeheight = 0.3", |p| real_height(p).map(|h| h == 30)),
+    ("tree_height >= 0.35", |p| real_height(p).map(|h| h >= 35)),
+    ("tree_height in (0.3, -1.9)", |p| real_height(p).map(|h| h == 30 || h == -190)),
+    ("tree_height is null", |p| Some(real_height(p).is_none())),
+    ("raw(tree_height) = -9999", |p| Some(p.height == NO_HEIGHT)),
+    ("scan_angle > 0", |p| Some(steps(p) > 0)),
+    ("ScanAngleRank = -2", |p| Some(steps(p) == -2)),
+    ("ScanAngleRank between -167 and 333", |p| Some((-167..=333).contains(&steps(p)))),
+    ("raw(ScanAngleRank) = -2", |p| Some(p.angle == -2)),
+    ("ScanAngleRank > Classification", |p| Some(steps(p) > p.class.into())),
     ("scan = 'north'", |p| Some(p.scan == 3)),
     ("scan <> \"north\"", |p| Some(p.scan != 3)),
     ("scan in ('north', 1)", |_| Some(true)),
@@ -216,6 +244,7 @@ fn ranges(points: &[Point]) -> Vec<(Slot, Range)> {
         (HEIGHT, signed(span(north.iter().map(|p| p.height.into())))),
         (ANGLE_8, signed(span(north.iter().map(|p| p.angle.into())))),
         (ANGLE_16, signed(span(roof.iter().map(|p| p.angle.into())))),
+        (FINE_HEIGHT, signed(span(roof.iter().map(|p| p.height.into())))),
     ];
     ranges.extend(all.into_iter().filter_map(|(slot, range)| Some((slot, range?))));
     ranges
@@ -278,15 +307,16 @@ fn coordinates_keep_their_names_and_attributes_called_so_are_quoted() {
     // An extra byte called x took the coordinate's place.
     let (scans, lattice) = (scans(), Lattice::uniform(0.25).unwrap());
     let mut attributes = attributes();
-    attributes.push(StoredAttribute { id: 8, attribute: Attribute::new("x", ScalarType::U8) });
-    let names = Names { attributes: &attributes, scans: &scans, lattice: &lattice };
+    attributes.push(StoredAttribute { id: 9, attribute: Attribute::new("x", ScalarType::U8) });
+    let met = Kinds::default();
+    let names = Names { attributes: &attributes, scans: &scans, lattice: &lattice, met: &met };
     let slots = |text: &str| {
         let filter = Filter::parse(text).unwrap().bind(&names).unwrap();
         (filter.slots(), filter.needs_positions())
     };
     assert_eq!(slots("x > 1 or X in (2, 3)"), (vec![], true));
     for attribute in ["\"x\" > 1", "`X` between 1 and 2", "raw(x) = 1", "\"x\" is null", "\"x\" = class"] {
-        assert!(slots(attribute).0.contains(&8) && !slots(attribute).1, "{attribute}");
+        assert!(slots(attribute).0.contains(&9) && !slots(attribute).1, "{attribute}");
     }
     // In quotes it is the coordinate where no attribute has its name.
     assert_eq!(slots("\"y\" > 1"), (vec![], true));

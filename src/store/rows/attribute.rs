@@ -1,7 +1,7 @@
 //! Rows of `attribute`.
 
 use super::super::error::RowError;
-use super::super::model::{FIRST_ATTRIBUTE, StoredAttribute};
+use super::super::model::{FIRST_ATTRIBUTE, Slot, StoredAttribute};
 use super::{Put, Sql, checked, put_row};
 use crate::points::{Attribute, ScalarType, Scaling};
 use rusqlite::Connection;
@@ -39,6 +39,11 @@ pub(in crate::store) fn load_attributes(connection: &Connection) -> Result<Vec<S
         attributes.push(StoredAttribute { id, attribute });
     }
     Ok(attributes)
+}
+
+pub(in crate::store) fn delete_attribute(connection: &Connection, id: Slot) -> Result<(), RowError> {
+    connection.prepare_cached("DELETE FROM attribute WHERE id = ?")?.execute([id])?;
+    Ok(())
 }
 
 pub(in crate::store) fn put_attribute(connection: &Connection, stored: &StoredAttribute) -> Result<(), RowError> {

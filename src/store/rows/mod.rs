@@ -12,7 +12,7 @@ mod scan;
 mod site;
 mod zone;
 
-pub(super) use attribute::{load_attributes, put_attribute};
+pub(super) use attribute::{delete_attribute, load_attributes, put_attribute};
 pub(super) use bookmark::{load_bookmarks, put_bookmark, remove_bookmark};
 pub(super) use bytes::{Put, Take, Taken};
 pub use chunk::{ChunkRow, pack};

@@ -370,7 +370,8 @@ fn report_files(arguments: &Arguments, files: &[Written], answer: &Answer) -> an
         // A scan's name may have what the name of a file cannot have.
         let of = match part {
             Some(PartOf::Scan(name)) => format!(" of scan {}", output::clean(name)),
-            Some(PartOf::Class(class)) => format!(" of class {class}"),
+            Some(PartOf::Class(Some(class))) => format!(" of class {class}"),
+            Some(PartOf::Class(None)) => " without a class".to_owned(),
             None => String::new(),
         };
         output::line(format_args!("{}: {}{of}", path.display(), output::counted(*points, "point")))?;

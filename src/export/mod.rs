@@ -94,8 +94,8 @@ pub struct Written {
 pub enum PartOf {
     /// The points of the scan of this name, which its file's name need not spell.
     Scan(String),
-    /// The points of a class.
-    Class(u64),
+    /// The points of a class; `None`: those that have none.
+    Class(Option<i64>),
 }
 
 /// The form of a file by what its name ends in.

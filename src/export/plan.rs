@@ -1,13 +1,13 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
 use super::{ExportError, Meeting};
-use crate::formats::{LasTarget, OutputFormat, OutputPlan};
+use crate::formats::{LasTarget, OutputFormat, OutputPlan, las};
 use crate::geometry::Pose;
-use crate::lattice::{BIAS, LatticeBox, LatticePoint};
+use crate::lattice::{BIAS, Decimal, Lattice, LatticeBox, LatticePoint};
 use crate::points::LasFacts;
 use crate::query::OutputForm;
 use crate::store::Snapshot;
-use crate::store::model::Scan;
+use crate::store::model::{Scan, Site};
 
 /// The plan, and what to do with attributes of two kinds.
 pub struct Planned {
@@ -37,7 +37,7 @@ pub fn plan(
     let site = snapshot.site();
     let mut notes = Vec::new();
     let agreed = scale.is_none().then(|| agreed_facts(&scans)).flatten().filter(|_| all_attributes);
-    let las = match agreed {
+    let target = match agreed {
         Some(facts) => LasTarget::AsSource(facts.clone()),
         // Other forms have no grid that coordinates must fit.
         None if !is_las(format) => LasTarget::Merged { scale: site.lattice.quantum_f64(), offset: [0.0; 3] },
@@ -52,6 +52,12 @@ pub fn plan(
             merged(snapshot, &scans, form.bounds, scale)?
         }
     };
+    let records_speak = matches!(target, LasTarget::AsSource(_)) && scans.first().is_some_and(|s| says_crs(s, site));
+    if let (Some(scale), true) = (scale, is_las(format))
+        && let Some(note) = rounding(&site.lattice, scale)
+    {
+        notes.push(note);
+    }
     let meeting = Meeting::of(snapshot, form);
     notes.extend(meeting.notes.iter().cloned());
     let has = |s: &Scan, wanted: &str| {
@@ -78,13 +84,34 @@ pub fn plan(
         plan: OutputPlan {
             lattice: site.lattice.clone(),
             attributes: meeting.attributes.clone(),
-            crs: site.crs.clone(),
-            las,
+            crs: site.crs.clone().filter(|_| !records_speak),
+            las: target,
         },
         meeting,
         standard_gps_time: standard > 0 && standard == timed.len(),
         notes,
     })
+}
+
+/// Do the records of the scan's own file name the site's CRS? They don't where another was given at ingest.
+fn says_crs(scan: &Scan, site: &Site) -> bool {
+    let Some(own) = scan.las.as_ref().and_then(las::crs_of) else { return site.crs.is_none() };
+    let Some(crs) = &site.crs else { return true };
+    let is_same = own.same_as(crs);
+    match scan.crs.as_ref() == Some(&own) {
+        true => is_same != Some(false),
+        false => is_same == Some(true) && (crs.vertical_epsg.is_none() || crs.vertical_epsg == own.vertical_epsg),
+    }
+}
+
+/// What steps of `scale` do to the coordinates of a lattice, if anything.
+fn rounding(lattice: &Lattice, scale: [f64; 3]) -> Option<String> {
+    let is_exact = |axis: usize| {
+        let rest = Decimal::from_f64(scale[axis]).and_then(|step| lattice.quantum()[axis].checked_rem_euclid(step));
+        rest == Some(Decimal::ZERO)
+    };
+    let step = (0..3).filter(|&axis| !is_exact(axis)).map(|axis| scale[axis]).reduce(f64::max)?;
+    Some(format!("coordinates are rounded to steps of {step}: off by up to {} on an axis", step / 2.0))
 }
 
 /// Are coordinates 32-bit steps of a grid there?

@@ -75,7 +75,8 @@ pub struct OutputPlan {
     pub lattice: Lattice,
     /// The columns of every batch that will come, in this order.
     pub attributes: Arc<[Attribute]>,
-    /// The CRS to write, if known.
+    /// The CRS to write, if known. To [`LasTarget::AsSource`] it is given only in place of what the source's records say:
+    /// without one these are written as they are.
     pub crs: Option<Crs>,
     /// For LAS and LAZ; other formats ignore it.
     pub las: LasTarget,

@@ -1,6 +1,6 @@
 //! What goes out, in forms that other programs read.
 
-use crate::support::{RawLas, TinyLas, esker_fails, esker_ok};
+use crate::support::{RawLas, TinyLas, esker, esker_fails, esker_ok, with_vlr};
 use std::fs;
 use std::path::Path;
 
@@ -112,7 +112,7 @@ fn the_kind_of_gps_times_is_that_of_the_scans_which_have_some() {
     esker_ok(&["ingest", &store, &at("standard.las"), &at("week.las"), &at("none.las"), &at("text.csv")]);
     let encoding = |scans: &[&str], out: &str| {
         let scans: Vec<&str> = scans.iter().flat_map(|scan| ["--scan", scan]).collect();
-        let output = crate::support::esker(&[&["query", &store, "-o", &at(out)], &scans[..]].concat());
+        let output = esker(&[&["query", &store, "-o", &at(out)], &scans[..]].concat());
         let told = String::from_utf8(output.stderr).unwrap().contains("GPS times of two kinds meet");
         (RawLas::read(Path::new(&at(out))).unwrap().header.global_encoding & 1, told)
     };
@@ -122,4 +122,118 @@ fn the_kind_of_gps_times_is_that_of_the_scans_which_have_some() {
     assert_eq!(encoding(&["week", "text"], "d.las"), (0, false));
     assert_eq!(encoding(&["standard", "week"], "e.las"), (0, true));
     assert_eq!(encoding(&["none", "text"], "f.las"), (0, false));
+}
+
+/// A GeoKey directory that names a projected system.
+fn keys(epsg: u16) -> Vec<u8> {
+    [1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, epsg].into_iter().flat_map(u16::to_le_bytes).collect()
+}
+
+/// A CRS that was given at ingest was lost on the way out: the file said what its source had said, or nothing.
+#[test]
+fn a_file_says_the_crs_that_the_store_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for (name, x) in [("none", 0), ("utm", 100)] {
+        let mut las = TinyLas::new(1);
+        las.push([x, 2, 3], 7);
+        let bytes = las.bytes();
+        let bytes = if name == "utm" { with_vlr(&bytes, "LASF_Projection", 34_735, &keys(25_832)) } else { bytes };
+        fs::write(at(&format!("{name}.las")), bytes).unwrap();
+    }
+    let crs_of = |store: &str| {
+        let info: serde_json::Value = serde_json::from_str(&esker_ok(&["info", "--json", store])).unwrap();
+        info["crs"].clone()
+    };
+    // What comes out of a store of these files, and into another.
+    let round = |files: &[&str], options: &[&str]| {
+        let (store, again) = (at("a.esker"), at("b.esker"));
+        [&store, &again].iter().for_each(|s| drop(fs::remove_file(s)));
+        let files: Vec<String> = files.iter().map(|f| at(&format!("{f}.las"))).collect();
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
+        esker_ok(&[&["ingest", &store], &files[..], options].concat());
+        esker_ok(&["query", &store, "-o", &at("out.las"), "--force"]);
+        esker_ok(&["ingest", &again, &at("out.las")]);
+        assert_eq!(crs_of(&again)["horizontal_epsg"], crs_of(&store)["horizontal_epsg"], "{files:?} {options:?}");
+        crs_of(&again)
+    };
+    let epsg = |crs: serde_json::Value| crs["horizontal_epsg"].as_u64();
+    assert_eq!(epsg(round(&["utm"], &["--crs", "EPSG:32633"])), Some(32_633));
+    assert_eq!(epsg(round(&["none"], &["--crs", "EPSG:25832"])), Some(25_832));
+    assert_eq!(epsg(round(&["none", "utm"], &[])), Some(25_832));
+    assert_eq!(epsg(round(&["utm", "none"], &[])), Some(25_832));
+    let codes = round(&["utm"], &["--crs", "EPSG:25832+7837"]);
+    assert_eq!((codes["horizontal_epsg"].as_u64(), codes["vertical_epsg"].as_u64()), (Some(25_832), Some(7837)));
+    assert!(round(&["none"], &[]).is_null());
+    // In a file like an old one text is a record, in LAS 1.4 the header says so, too.
+    let wkt = r#"PROJCS["here",GEOGCS["g",DATUM["d",SPHEROID["s",6378137,298]],PRIMEM["p",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],UNIT["metre",1]]"#;
+    esker_ok(&["query", &at("a.esker"), "--attributes", "Intensity", "-o", &at("new.las")]);
+    for file in ["utm", "new"] {
+        assert_eq!(round(&[file], &["--crs", wkt])["wkt"], wkt, "{file}");
+        let head = RawLas::read(Path::new(&at("out.las"))).unwrap().header;
+        assert_eq!((head.version.minor, head.global_encoding & 16), if file == "new" { (4, 16) } else { (2, 0) });
+    }
+    // What a file says of itself comes back as it was.
+    round(&["utm"], &[]);
+    let [out, source] = ["out.las", "utm.las"].map(|name| fs::read(at(name)).unwrap());
+    assert_eq!(out[227..], source[227..]);
+    round(&["utm"], &["--crs", "EPSG:25832"]);
+    assert_eq!(fs::read(at("out.las")).unwrap()[227..], source[227..]);
+}
+
+/// Coordinates in coarse steps were called exact.
+#[test]
+fn a_scale_that_rounds_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(at("a.xyz"), "1.25 2 3\n4 5 6.5\n").unwrap();
+    let store = at("a.esker");
+    esker_ok(&["ingest", &store, &at("a.xyz"), "--quantum", "0.01"]);
+    let told = |scale: &[&str]| {
+        let output = esker(&[&["query", &store, "-o", &at("out.las"), "--force"], scale].concat());
+        let text = String::from_utf8(output.stderr).unwrap();
+        text.lines().find(|l| l.contains("rounded")).map(str::to_owned)
+    };
+    assert!(told(&["--scale", "7"]).unwrap().contains("rounded to steps of 7: off by up to 3.5 on an axis"));
+    assert!(told(&["--scale", "0.0015"]).is_some());
+    assert_eq!([told(&[]), told(&["--scale", "0.01"]), told(&["--scale", "0.0005"])], [None, None, None]);
+}
+
+/// Points without a class were put into the file of class 0, and so were classes of other types.
+#[test]
+fn points_without_a_class_have_a_file_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let head = "x,y,z,classification\n";
+    fs::write(at("bytes.csv"), format!("{head}1,0,0,0\n2,0,0,2\n3,0,0,255\n")).unwrap();
+    fs::write(at("whole.csv"), format!("{head}1,1,0,0\n2,1,0,2900\n3,1,0,-7\n")).unwrap();
+    fs::write(at("parts.csv"), format!("{head}1,2,0,2\n2,2,0,2.5\n3,2,0,0\n")).unwrap();
+    fs::write(at("none.csv"), "x,y,z\n1,3,0\n2,3,0\n").unwrap();
+    let store = at("s.esker");
+    let files = ["bytes.csv", "whole.csv", "parts.csv", "none.csv"].map(at);
+    esker_ok(&[&["ingest", &store], &files.each_ref().map(String::as_str)[..]].concat());
+    for (name, attributes) in [("all", None), ("bare", Some("none")), ("other", Some("classification"))] {
+        let attributes = attributes.map_or(vec![], |a| vec!["--attributes", a]);
+        let split = ["query", &store, "--split-by", "class", "-o", &at(&format!("{name}.csv"))];
+        let output = esker(&[&split[..], &attributes].concat());
+        let (out, told) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+        for (class, points) in [("0", 3), ("2", 2), ("255", 1), ("2900", 1), ("-7", 1)] {
+            let text = fs::read_to_string(at(&format!("{name}_class{class}.csv"))).unwrap();
+            assert_eq!(text.lines().count() - 1, points, "{name} {class}");
+            assert_eq!(text.starts_with("X,Y,Z\n"), name == "bare");
+        }
+        assert_eq!(fs::read_to_string(at(&format!("{name}_noclass.csv"))).unwrap().lines().count() - 1, 3, "{name}");
+        assert!(told.contains("3 points without a class") && out.contains("3 points without a class"), "{out}{told}");
+        let written = fs::read_dir(folder.path())
+            .unwrap()
+            .filter(|e| e.as_ref().unwrap().file_name().to_str().unwrap().starts_with(&format!("{name}_")));
+        assert_eq!(written.count(), 6);
+    }
+    let bare = at("bare.esker");
+    esker_ok(&["ingest", &bare, &at("none.csv")]);
+    let split = ["query", &bare, "--split-by", "class", "-o", &at("no.csv")];
+    esker_fails(&split, 1, &["the points have no Classification to split by"]);
+    // The scans that have some are left out.
+    let split = ["query", &store, "--scan", "none", "--split-by", "class", "-o", &at("no.csv")];
+    esker_fails(&split, 1, &["the points have no Classification to split by"]);
 }

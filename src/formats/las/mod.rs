@@ -16,6 +16,7 @@ pub mod tables;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use crs::{of_facts as crs_of, says_crs};
 pub(super) use header::quoted;
 pub use source::LasSource;
 pub(super) use source::even_pieces;

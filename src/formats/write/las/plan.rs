@@ -7,10 +7,11 @@ use super::header::{
     padded,
 };
 use crate::formats::las::layout::record_layout;
+use crate::formats::las::says_crs;
 use crate::formats::las::tables::{Dimension, PointFormat, XYZ_BYTES};
 use crate::formats::write::OutputPlan;
 use crate::formats::write::rows::{Put, Slot};
-use crate::points::{Attribute, FieldKind, LasFacts, RawVlr, ScalarType};
+use crate::points::{Attribute, Crs, FieldKind, LasFacts, RawVlr, ScalarType};
 
 /// A plan, or why there is none.
 pub(super) type Planned = Result<Plan, String>;
@@ -50,7 +51,20 @@ pub(super) fn as_source(plan: &OutputPlan, facts: &LasFacts, compressed: bool, d
     }
     let mut kept = Vec::new();
     let mut waveforms_lost = facts.global_encoding & INTERNAL_WAVEFORMS != 0;
-    for vlr in &facts.vlrs {
+    let mut global_encoding = facts.global_encoding & !INTERNAL_WAVEFORMS;
+    let mut records: Vec<RawVlr> = facts.vlrs.clone();
+    if let Some(crs) = &plan.crs {
+        records.retain(|vlr| !says_crs(vlr));
+        // WKT has its place from LAS 1.4 on.
+        let keys = (version.1 < 4).then(|| Crs { wkt: None, ..crs.clone() });
+        let written = keys.and_then(|keys| crs::vlrs(&keys, &mut Vec::new())).or_else(|| crs::vlrs(crs, &mut notes));
+        global_encoding &= !WKT;
+        if written.as_ref().is_none_or(|w| w.wkt) && version.1 >= 4 {
+            global_encoding |= WKT;
+        }
+        records.extend(written.into_iter().flat_map(|w| w.vlrs));
+    }
+    for vlr in &records {
         if is_for(vlr, "laszip encoded") || is_for(vlr, "copc") {
             continue;
         }
@@ -77,7 +91,6 @@ pub(super) fn as_source(plan: &OutputPlan, facts: &LasFacts, compressed: bool, d
     {
         notes.push("waveform packets stay in the .wdp file beside the source".into());
     }
-    let mut global_encoding = facts.global_encoding & !INTERNAL_WAVEFORMS;
     if version.1 >= 5 && global_encoding & TIME_OFFSET != 0 {
         notes.push("the offset of GPS times (LAS 1.5) is not kept: 1,000,000,000 s is announced".into());
         global_encoding = global_encoding & !TIME_OFFSET | STANDARD_TIME;

@@ -87,6 +87,17 @@ pub enum StoreError {
         /// Empty, or ` (process N)`.
         owner: String,
     },
+    /// The file has several names: a log would lie beside one of them, and who comes by another would not see it.
+    #[error(
+        "{path}: the file has {names} names (hard links), and whoever writes by one of them could destroy it for the others; make \
+         a copy of its own first (`cp` and `mv`)"
+    )]
+    HardLinked {
+        /// The store.
+        path: PathBuf,
+        /// How many.
+        names: u64,
+    },
     /// SQLite waited for another process in vain.
     #[error("{path}: another process keeps it locked; try again")]
     Busy {

@@ -16,6 +16,10 @@ pub(crate) struct WriterLock {
 impl WriterLock {
     /// Takes the lock.
     pub fn take(store: &Path) -> Result<Self, StoreError> {
+        let names = names(store);
+        if names > 1 {
+            return Err(StoreError::HardLinked { path: store.to_path_buf(), names });
+        }
         let path = beside(store, "-lock");
         loop {
             let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path).map_err(
@@ -64,6 +68,18 @@ impl Drop for WriterLock {
     }
 }
 
+/// How many names the file has; 1 if nobody can tell.
+#[cfg(unix)]
+fn names(path: &Path) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+    std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file).map_or(1, |m| m.nlink())
+}
+
+#[cfg(not(unix))]
+fn names(_: &Path) -> u64 {
+    1
+}
+
 /// Is `file` what lies under `path`?
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
@@ -96,6 +112,23 @@ mod tests {
         assert!(error.contains("a.esker") && error.contains(&std::process::id().to_string()), "{error}");
         drop(lock);
         assert!(!WriterLock::is_taken(&store));
+        drop(WriterLock::take(&store).unwrap());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_of_several_names_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, other) = (folder.path().join("a.esker"), folder.path().join("b.esker"));
+        std::fs::write(&store, b"x").unwrap();
+        drop(WriterLock::take(&store).unwrap());
+        std::fs::hard_link(&store, &other).unwrap();
+        for path in [&store, &other] {
+            let error = WriterLock::take(path).unwrap_err().to_string();
+            assert!(error.contains("has 2 names (hard links)"), "{error}");
+            assert!(!beside(path, "-lock").exists());
+        }
+        std::fs::remove_file(other).unwrap();
         drop(WriterLock::take(&store).unwrap());
     }
 

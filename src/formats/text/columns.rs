@@ -52,6 +52,15 @@ pub fn roles(names: &[String]) -> Vec<Role> {
             (roles[e], roles[n]) = (Role::Axis(0), Role::Axis(1));
         }
     }
+    // `x`, `y` and `z` themselves go before words for them: beside `z`, `height` is something else.
+    for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
+        let of_axis = |i: &usize| roles[*i] == Role::Axis(axis);
+        let (exact, others): (Vec<_>, Vec<_>) =
+            (0..names.len()).filter(of_axis).partition(|&i| names[i].eq_ignore_ascii_case(letter));
+        if exact.len() == 1 {
+            others.into_iter().for_each(|i| roles[i] = Role::Attribute(names[i].clone()));
+        }
+    }
     roles
 }
 
@@ -162,6 +171,15 @@ impl Kinds {
     }
 }
 
+/// Integers below are what they were as an f64.
+const MOST_EXACT: f64 = 9_007_199_254_740_992.0;
+
+/// Does it hold numbers of more digits than its type keeps?
+pub fn is_rounded(column: &Column, ty: ScalarType) -> bool {
+    let wide = column.wide.is_some() || column.largest_mantissa > MOST_EXACT as u64;
+    ty.is_float() && wide
+}
+
 /// Does it hold numbers, and nothing else?
 fn is_kept(column: &Column) -> bool {
     column.text.is_none() && column.numbers > 0
@@ -186,6 +204,10 @@ fn attribute(name: &str, column: &Column) -> (String, ScalarType) {
 
 /// The type that a LAS dimension has, if it has one and the values fit.
 fn customary(name: &str, column: &Column) -> Option<ScalarType> {
+    // An integer of more digits than an f64 has stays one, whatever it is called.
+    if column.plain && column.absent == 0 && column.min.abs().max(column.max.abs()) >= MOST_EXACT {
+        return None;
+    }
     if is_normal(name) {
         return Some(float(column));
     }

@@ -1,6 +1,6 @@
 //! Rows that have been looked through, as a [`PointSource`].
 
-use super::columns::{Kinds, Role};
+use super::columns::{Kinds, Role, is_rounded};
 use super::survey::{Column, Place, Survey};
 use super::table::{Cell, Coordinates, Table};
 use crate::formats::file::SourceFile;
@@ -58,6 +58,12 @@ impl TextSource {
                         let canonical = unique(canonical, name, ty, &mut taken);
                         let at = end;
                         end += ty.size();
+                        if is_rounded(column, ty) {
+                            let name = name.escape_default();
+                            warnings.push(format!(
+                                "column `{name}` has numbers of more digits than a 64-bit float keeps: they are rounded"
+                            ));
+                        }
                         let field = Field { offset: at - start, kind: FieldKind::Whole };
                         fields.push((Attribute::new(canonical, ty), field));
                         Cell::Value(at, ty)

@@ -247,8 +247,11 @@ fn chunk(file: &SourceFile, place: &Place, start: u64, end: u64) -> Result<Surve
         if line.bytes.trim_ascii_start().is_empty() || place.separator.is_comment(line.bytes) {
             continue;
         }
+        // Of a row that may be cut nothing must stay behind.
+        let before = line.unfinished.then(|| found.columns.clone());
         let mut words = 0;
         let mut bad = None;
+        let mut last_is_start = false;
         for word in place.separator.words(line.bytes) {
             if words == MOST_COLUMNS {
                 return Err(file.malformed_line(line.offset, format!("a row of at most {MOST_COLUMNS} words"), "more"));
@@ -257,6 +260,7 @@ fn chunk(file: &SourceFile, place: &Place, start: u64, end: u64) -> Result<Surve
                 found.columns.push(Column { absent: found.rows, ..Column::default() });
             }
             let number = parse(word, place.comma);
+            last_is_start = number.is_none() && word.iter().all(|b| b.is_ascii_digit() || b"+-.,eE".contains(b));
             let axis = place.axes.iter().position(|&a| a == words);
             let column = &mut found.columns[words];
             match number {
@@ -279,11 +283,15 @@ fn chunk(file: &SourceFile, place: &Place, start: u64, end: u64) -> Result<Surve
         }
         let short = place.axes.iter().any(|&a| a >= words);
         let shorter = found.rows > 0 && words < found.words.1;
-        if line.unfinished && (short || bad.is_some() || shorter) {
-            // Its words were counted; what a cut row says of a column does no harm but to its type.
-            found.cut = true;
-            undo(&mut found, words);
-            break;
+        if let Some(before) = before {
+            // `-` may be what is left of `-20`, where all rows before have numbers.
+            let of_numbers = |column: &Column| column.text.is_none() && column.numbers > 0;
+            let cut_word = last_is_start && words > 0 && before.get(words - 1).is_some_and(of_numbers);
+            if short || bad.is_some() || shorter || cut_word {
+                found.cut = true;
+                found.columns = before;
+                break;
+            }
         }
         if short || bad.is_some() {
             return Err(no_row(file, &line, bad));
@@ -297,16 +305,6 @@ fn chunk(file: &SourceFile, place: &Place, start: u64, end: u64) -> Result<Surve
     }
     found.chunks.push(Chunk { offset: start, rows: found.rows });
     Ok(found)
-}
-
-/// Takes a row of `words` words, some of them numbers, out of the counts again.
-fn undo(found: &mut Survey, words: usize) {
-    for column in &mut found.columns[..words] {
-        let extra = (column.numbers + column.absent).saturating_sub(found.rows);
-        let numbers = extra.min(column.numbers);
-        column.numbers -= numbers;
-        column.absent -= extra - numbers;
-    }
 }
 
 fn no_row(file: &SourceFile, line: &Line<'_>, bad: Option<&[u8]>) -> FormatError {

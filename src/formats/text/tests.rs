@@ -300,6 +300,52 @@ fn a_file_that_ends_in_a_row_gives_the_rows_before() {
 }
 
 #[test]
+fn a_row_that_is_cut_takes_no_column_with_it() {
+    for text in ["1 2 3 10\n4 5 6 -20\n7 8 9 -", "1 2 3 10\n4 5 6 -20\n7 8 9", "1 2 3 10\n4 5 6 -20\n7 8 - 3"] {
+        let all = opened("a.xyz", text);
+        let info = all[0].info();
+        assert_eq!((info.records, info.missing), (2, 1), "{text}");
+        assert_eq!(attributes(&*all[0]), ["Intensity i16"], "{text}");
+        assert_eq!(column(&*all[0], "Intensity"), Column::I16(vec![10, -20]));
+        assert!(info.warnings.contains(&"the file ends in the middle of a row".to_owned()), "{text}");
+        assert!(!info.warnings.iter().any(|w| w.contains("not kept")), "{text}");
+    }
+    // Whole rows: of words, and with a word that is no start of a number.
+    let all = opened("a.csv", "x,y,z,a\n1,2,3,-\n4,5,6,-");
+    assert_eq!((all[0].info().records, all[0].info().missing), (2, 0));
+    let all = opened("a.csv", "x,y,z,a\n1,2,3,4\n4,5,6,oak");
+    assert_eq!((all[0].info().records, all[0].info().missing), (2, 0));
+}
+
+#[test]
+fn integers_stay_exact_whatever_they_are_called() {
+    let all =
+        opened("a.csv", "x,y,z,GpsTime,nx\n1,2,3,1609459200123456789,9007199254740993\n1,2,4,1609459200123456790,1\n");
+    assert_eq!(column(&*all[0], "GpsTime"), Column::I64(vec![1_609_459_200_123_456_789, 1_609_459_200_123_456_790]));
+    assert_eq!(attributes(&*all[0]), ["GpsTime i64", "NormalX i64"]);
+    assert!(all[0].info().warnings.is_empty());
+    let all = opened("a.csv", "x,y,z,GpsTime\n1,2,3,1609459200\n1,2,4,1609459201\n");
+    assert_eq!(attributes(&*all[0]), ["GpsTime f64"]);
+    // With a cell missing there is no integer that says so.
+    let all = opened("a.csv", "x,y,z,a\n1,2,3,9007199254740993\n1,2,4,\n");
+    assert_eq!(
+        all[0].info().warnings,
+        ["column `a` has numbers of more digits than a 64-bit float keeps: they are rounded"]
+    );
+    let all = opened("a.csv", "x,y,z,a\n1,2,3,1.12345678901234567\n");
+    assert_eq!(all[0].info().warnings.len(), 1);
+}
+
+#[test]
+fn letters_of_axes_go_before_words_for_them() {
+    let all = opened("a.csv", "x,y,z,height,easting\n1,2,3,4,5\n");
+    assert_eq!(positions(&*all[0]), [[1.0, 2.0, 3.0]]);
+    assert_eq!(attributes(&*all[0]), ["easting i32", "height i32"]);
+    let all = opened("a.csv", "easting,northing,height,z\n1,2,3,4\n");
+    assert_eq!(positions(&*all[0]), [[1.0, 2.0, 4.0]]);
+}
+
+#[test]
 fn rows_that_lack_words_have_nan_there() {
     let all = opened("a.txt", "1 2 3 4 5\n1 2 3\n1 2 3 6 7\n");
     assert!(matches!(column(&*all[0], "column4"), Column::F32(v) if v[0] == 4.0 && v[1].is_nan() && v[2] == 6.0));

@@ -26,10 +26,10 @@ struct Field {
     ty: ScalarType,
 }
 
-/// X, Y, Z, then the attributes; names are unique.
-fn fields(attributes: &[Attribute], notes: &mut Vec<String>) -> Vec<Field> {
+/// X, Y, Z, then the attributes; names are unique, as `plain` gives them.
+fn fields(attributes: &[Attribute], plain: impl Fn(&Attribute) -> String, notes: &mut Vec<String>) -> Vec<Field> {
     const AXES: [&str; 3] = ["X", "Y", "Z"];
-    let names = distinct(attributes, AXES, |a| a.name.clone(), "field", notes);
+    let names = distinct(attributes, AXES, plain, "field", notes);
     let of_attribute = |(attribute, name): (&Attribute, String)| {
         let ty = if attribute.scaling.is_some() { ScalarType::F64 } else { attribute.ty };
         Field { name, ty }
@@ -117,7 +117,7 @@ impl NpyWriter {
     /// Begins a file: the head is written, its count still open.
     pub fn create(destination: Destination, mut file: File, plan: &OutputPlan) -> Result<Self, FormatError> {
         let mut notes = Vec::new();
-        let fields = fields(&plan.attributes, &mut notes);
+        let fields = fields(&plan.attributes, |a| a.name.clone(), &mut notes);
         note_scaled(&plan.attributes, &mut notes);
         let stride = fields.iter().map(|f| f.ty.size()).sum();
         file.write_all(&head(&structured(&fields), 0)).map_err(|e| destination.error("writing", e))?;
@@ -178,7 +178,9 @@ impl NpzWriter {
     pub fn create(destination: Destination, file: File, plan: &OutputPlan) -> Result<Self, FormatError> {
         let mut notes = Vec::new();
         let mut columns = Vec::new();
-        for field in fields(&plan.attributes, &mut notes) {
+        // Of a path in an archive, tools make folders.
+        let plain = |a: &Attribute| a.name.replace(['/', '\\'], "_");
+        for field in fields(&plan.attributes, plain, &mut notes) {
             let (scratch, column) = destination.scratch()?;
             columns.push((field, BufWriter::new(column), scratch));
         }
@@ -195,7 +197,7 @@ impl NpzWriter {
             let options = SimpleFileOptions::default()
                 .compression_method(CompressionMethod::Stored)
                 .large_file(bytes >= u64::from(u32::MAX) - 4096);
-            archive.start_file(format!("{}.npy", field.name.replace(['/', '\\'], "_")), options)?;
+            archive.start_file(format!("{}.npy", field.name), options)?;
             archive.write_all(&head(&format!("'{}'", word(field.ty)), self.points))?;
             let file = column.get_mut();
             file.seek(SeekFrom::Start(0))?;

@@ -60,6 +60,20 @@ fn csv_has_every_name_once() {
 }
 
 #[test]
+fn an_archive_has_every_name_once() {
+    // `a/b` was written as `a_b`, of which there was one.
+    let names = ["a/b", "a_b", "a\\b"];
+    let plan = plan(names.map(|name| Attribute::new(name, ScalarType::U8)).to_vec());
+    let values = batch(&plan, &[[1.0, 2.0, 3.0]], (1..=3).map(|i| Column::U8(vec![i])).collect());
+    let (bytes, notes) = written(OutputFormat::Npz, &plan, &[values]).unwrap();
+    let archive = zip::ZipArchive::new(std::io::Cursor::new(bytes)).unwrap();
+    let mut found: Vec<_> = archive.file_names().map(|name| name.unwrap().into_owned()).collect();
+    found.sort_unstable();
+    assert_eq!(found, ["X.npy", "Y.npy", "Z.npy", "a_b.2.npy", "a_b.3.npy", "a_b.npy"]);
+    assert_eq!(notes.len(), 2);
+}
+
+#[test]
 fn what_was_packed_for_another_form_is_refused_by_name() {
     let plan = plan(Vec::new());
     let folder = tempfile::tempdir().unwrap();

@@ -32,6 +32,12 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
+    /// The name of a log, an index, a journal or a lock that lies beside another database.
+    #[error("{path}: is the name of a file that belongs to a database beside it, such as a store; give another name")]
+    NameOfAnother {
+        /// The file.
+        path: PathBuf,
+    },
     /// Some other file.
     #[error("{path}: is not an Esker store: {found}")]
     NotAStore {

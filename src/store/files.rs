@@ -23,6 +23,13 @@ pub fn followed(path: &Path) -> Cow<'_, Path> {
     }
 }
 
+/// Is this, by its name, a file beside another that is there? A store so called would be taken for that one's log, or its lock.
+pub(super) fn belongs_to_another(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or("");
+    let owner = ["-wal", "-shm", "-journal", "-lock"].iter().find_map(|suffix| name.strip_suffix(suffix));
+    owner.is_some_and(|owner| !owner.is_empty() && path.with_file_name(owner).is_file())
+}
+
 /// The write-ahead log.
 pub(super) fn wal(path: &Path) -> PathBuf {
     beside(path, "-wal")

@@ -427,6 +427,19 @@ fn who_waits_for_a_reader_ends_when_told_and_the_store_is_as_it_was() {
 }
 
 #[test]
+fn no_store_has_the_name_of_anothers_log() {
+    let (_folder, path) = folder();
+    Store::create(&path, options()).unwrap();
+    for suffix in ["-wal", "-shm", "-journal", "-lock"] {
+        let beside = super::files::beside(&path, suffix);
+        assert!(matches!(Store::create(&beside, options()), Err(StoreError::NameOfAnother { .. })), "{suffix}");
+        assert!(!beside.exists());
+    }
+    let alone = super::files::beside(&path, "-other-wal");
+    Store::create(alone, options()).unwrap();
+}
+
+#[test]
 fn who_has_an_empty_store_open_keeps_it_while_it_is_filled() {
     let (_folder, path) = folder();
     let store = Store::create(&path, options()).unwrap();

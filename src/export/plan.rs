@@ -1,7 +1,8 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
 use super::{ExportError, Meeting};
-use crate::formats::{LasTarget, OutputFormat, OutputPlan, las};
+use crate::formats::las::crs_of;
+use crate::formats::{LasTarget, OutputFormat, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, Decimal, Lattice, LatticeBox, LatticePoint};
 use crate::points::LasFacts;
@@ -95,7 +96,7 @@ pub fn plan(
 
 /// Do the records of the scan's own file name the site's CRS? They don't where another was given at ingest.
 fn says_crs(scan: &Scan, site: &Site) -> bool {
-    let Some(own) = scan.las.as_ref().and_then(las::crs_of) else { return site.crs.is_none() };
+    let Some(own) = scan.las.as_ref().and_then(crs_of) else { return site.crs.is_none() };
     let Some(crs) = &site.crs else { return true };
     let is_same = own.same_as(crs);
     match scan.crs.as_ref() == Some(&own) {

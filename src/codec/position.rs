@@ -8,7 +8,7 @@ use super::directory::{Cut, Directory, put_head, read_head};
 use super::passes::{self, Passes};
 use super::reader::{Reader, put_uint, put_varint};
 use super::residual::{plan_all, put_residuals, read_residuals};
-use super::{CodecError, Decoder, Encoder, block_count, block_range, morton, wide};
+use super::{CodecError, Decoder, Encoder, block_count, block_range, morton};
 use crate::lattice::{Cube, LOW_DIGITS, LatticeBox, LatticePoint, SortKey};
 use crate::points::Positions;
 
@@ -69,7 +69,7 @@ impl Encoder {
             let bounds = if cube.k() <= LOW_DIGITS {
                 self.narrow_block(cube, keys)
             } else {
-                wide::put_block(&mut self.streams, cube, keys, &mut self.buffers, &mut self.blocks)
+                super::wide::put_block(&mut self.streams, cube, keys, &mut self.buffers, &mut self.blocks)
             };
             let bounds = bounds.map_err(|index| CodecError::Key { index: first + index })?;
             for corner in [bounds.min, bounds.max] {
@@ -186,7 +186,7 @@ impl<'a> PositionChunk<'a> {
             Ok(())
         } else {
             let start = out.len();
-            let result = wide::read_block(decoder, self.cube, bytes, count, |key| out.push(key.point()));
+            let result = super::wide::read_block(decoder, self.cube, bytes, count, |key| out.push(key.point()));
             if result.is_err() {
                 out.x.truncate(start);
                 out.y.truncate(start);
@@ -226,7 +226,7 @@ impl<'a> PositionChunk<'a> {
         } else {
             let start = out.len();
             let push = |key: crate::lattice::Key| out.push(K::from_halves(key.high, key.low));
-            let result = wide::read_block(decoder, self.cube, bytes, count, push);
+            let result = super::wide::read_block(decoder, self.cube, bytes, count, push);
             if result.is_err() {
                 out.truncate(start);
             }

@@ -101,7 +101,6 @@ def test_progress_is_told_and_may_stop_the_work(large, tmp_path):
         ("a.las", {"frame": "scan"}, esker.QueryError, "for the points of one scan"),
         ("a.las", {"scale": 1e-9}, esker.FormatError, "too wide for 32-bit coordinates in steps of"),
         ("a.las", {"scale": (1, 2)}, ValueError, "one number is wanted, or one per axis"),
-        ("a.las", {"split_by": "class", "attributes": []}, esker.QueryError, "no Classification"),
         ("nowhere/a.las", {}, esker.FormatError, "does not exist"),
         ("a.las", {"masked": True}, TypeError, "masked is about arrays"),
         ("a.las", {"bax": 1}, TypeError, "bax"),
@@ -112,6 +111,17 @@ def test_what_can_not_be_written(site, tmp_path, name, keywords, error, message)
     with pytest.raises(error, match=message):
         site.store.export(tmp_path / name, **keywords)
     assert os.listdir(tmp_path) == []
+
+
+def test_points_are_split_by_classes_that_exist_and_need_not_be_written(site, tmp_path):
+    report = site.store.export(tmp_path / "a.npy", split_by="class", attributes=[])
+    for part in report["outputs"]:
+        assert np.load(part["path"]).dtype.names == ("X", "Y", "Z")
+        assert part["points"] == site.store.count(where=f"Classification = {part['class']}")
+    (tmp_path / "bare.csv").write_text("x,y,z\n1,2,3\n")
+    esker.ingest(tmp_path / "bare.esker", tmp_path / "bare.csv")
+    with esker.open(tmp_path / "bare.esker") as bare, pytest.raises(esker.QueryError, match="no Classification"):
+        bare.export(tmp_path / "b.las", split_by="class")
 
 
 def test_every_kind_of_query_can_be_exported():

@@ -9,9 +9,6 @@ use crate::formats::{FormatError, Piece, Tally};
 use laz::record::RecordDecompressor;
 use std::io::{BufReader, ErrorKind};
 
-/// Bytes that are decoded at a time from a chunk: a decoder's models fill most of a core's second cache, and should stay there.
-const CHUNK_RUN_BYTES: usize = 32 << 10;
-
 /// Gives the records of a piece to a sink, from chunks that may begin before it.
 struct Feed<'a> {
     piece: Piece,
@@ -85,7 +82,7 @@ fn read_chunk(
         }
     }
     let stride = codec.record_bytes;
-    let run = (CHUNK_RUN_BYTES / stride).max(1) as u64;
+    let run = (RUN_BYTES / stride).max(1) as u64;
     buffer.resize(run.min(chunk.records) as usize * stride, 0);
     let mut decompressor = guarded(file, chunk.offset, || codec.decompressor(bytes))?
         .map_err(|e| file.unsupported(format!("its LAZ compression ({e})"), ""))?;

@@ -173,7 +173,8 @@ impl Files<'_> {
                 let scan = self.snapshot.scan(id).ok_or(ExportError::NoScan(id))?;
                 let fit = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
                 let name = scan.name.chars().map(fit).collect();
-                (name, self.query.clone().scans([id.to_string()]), PartOf::Scan(scan.name.clone()))
+                // By its name: another one may be called as its number is.
+                (name, self.query.clone().scans([scan.name.clone()]), PartOf::Scan(scan.name.clone()))
             }
         };
         let stem = self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

@@ -32,8 +32,8 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
-    /// The name of a log, an index, a journal or a lock that lies beside another database.
-    #[error("{path}: is the name of a file that belongs to a database beside it, such as a store; give another name")]
+    /// The name of a log, an index, a journal or a lock, as they lie beside a store: it would be taken for that, and lost.
+    #[error("{path}: ends in -wal, -shm, -journal or -lock, as what lies beside a store does; give another name")]
     NameOfAnother {
         /// The file.
         path: PathBuf,

@@ -23,11 +23,11 @@ pub fn followed(path: &Path) -> Cow<'_, Path> {
     }
 }
 
-/// Is this, by its name, a file beside another that is there? A store so called would be taken for that one's log, or its lock.
-pub(super) fn belongs_to_another(path: &Path) -> bool {
-    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or("");
-    let owner = ["-wal", "-shm", "-journal", "-lock"].iter().find_map(|suffix| name.strip_suffix(suffix));
-    owner.is_some_and(|owner| !owner.is_empty() && path.with_file_name(owner).is_file())
+/// Is it called like a file beside a store? A store so called would be taken for the log or the lock of another, and that one's
+/// writer would cut it off or remove it.
+pub(super) fn is_named_as_beside(path: &Path) -> bool {
+    let name = path.as_os_str().as_encoded_bytes();
+    ["-wal", "-shm", "-journal", "-lock"].iter().any(|suffix| name.ends_with(suffix.as_bytes()))
 }
 
 /// The write-ahead log.

@@ -3,7 +3,7 @@
 use super::cache::CacheFigures;
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
-use super::files::{belongs_to_another, beside, followed, journal, wal};
+use super::files::{beside, followed, journal, wal};
 use super::lock::WriterLock;
 use super::log::LogMark;
 use super::model::Site;
@@ -88,9 +88,6 @@ impl Store {
         }
         if path.exists() && !Self::is_unfinished(path) {
             return Err(StoreError::AlreadyThere { path: path.into() });
-        }
-        if belongs_to_another(path) {
-            return Err(StoreError::NameOfAnother { path: path.into() });
         }
         let lock = WriterLock::take(path)?;
         // Again, now that nobody else can be making one: nothing but an empty file is taken over.

@@ -93,6 +93,10 @@ fn space_is_given_back() {
     assert!(bytes(&copy) <= 1.05 * bytes(&fresh), "{} in the copy, {} fresh", bytes(&copy), bytes(&fresh));
     assert_eq!(esker_ok(&["digest", &copy]), esker_ok(&["digest", &fresh]));
     esker_fails(&["compact", &store, "-o", &copy], 1, &["already"]);
+    // Under that name it would be the store's own log.
+    let log = format!("{store}-wal");
+    esker_fails(&["compact", &store, "-o", &log], 1, &["ends in -wal", "give another name"]);
+    assert!(!std::path::Path::new(&log).exists());
     // While somebody else makes a copy of that name: both would write one file.
     let other = place.path("other.esker");
     let lock = fs::File::create(format!("{other}-lock")).unwrap();

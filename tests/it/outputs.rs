@@ -53,6 +53,25 @@ fn what_las_cannot_hold_goes_out_in_other_forms() {
     assert!(!fs::exists(at("scaled.csv")).unwrap());
 }
 
+/// A scan's number is another one's name: its file had that one's columns.
+#[test]
+fn a_split_gives_each_scan_its_own_columns_whatever_it_is_called() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let names = ["1", "10", "2"];
+    for name in names {
+        fs::write(at(&format!("{name}.csv")), format!("x,y,z,a{name}\n{name},2,3,4\n")).unwrap();
+    }
+    let store = at("a.esker");
+    let files = names.map(|name| at(&format!("{name}.csv")));
+    esker_ok(&["ingest", &store, &files[0], &files[1], &files[2]]);
+    esker_ok(&["query", &store, "--split-by", "scan", "-o", &at("out.csv")]);
+    for name in names {
+        let text = fs::read_to_string(at(&format!("out_{name}.csv"))).unwrap();
+        assert_eq!(text, format!("X,Y,Z,a{name}\n{name},2,3,4\n"));
+    }
+}
+
 /// `--force` replaced the store itself, and all its points with it.
 #[test]
 fn no_output_takes_the_place_of_a_store() {

@@ -7,7 +7,7 @@
 
 #![allow(missing_docs)]
 
-use esker::codec::{ColumnChunk, Decoder, Encoder, Passes, PositionChunk};
+use esker::codec::{BlockSize, Blocks, ColumnChunk, Decoder, Encoder, Passes, PositionChunk};
 use esker::lattice::{BIAS, Cube, Key, LOW_DIGITS, LatticePoint, SortKey};
 use esker::points::{Attribute, Column, Field, FieldKind, PositionKind, Positions, RecordLayout, ScalarType};
 use std::collections::BTreeMap;
@@ -201,15 +201,15 @@ fn leaders(attributes: &[Attribute], a: usize) -> Vec<usize> {
 fn follow<'a>(
     attributes: &[Attribute],
     a: usize,
-    count: usize,
+    blocks: Blocks,
     bytes: &'a [u8],
     bytes_of: &dyn Fn(usize) -> &'a [u8],
 ) -> Result<ColumnChunk<'a>, Error> {
-    let chunk = ColumnChunk::parse(bytes, attributes[a].ty, count)?;
+    let chunk = ColumnChunk::parse(bytes, attributes[a].ty, blocks)?;
     let leaders = leaders(attributes, a);
     leaders
         .into_iter()
-        .try_fold(chunk, |chunk, l| Ok(chunk.after(follow(attributes, l, count, bytes_of(l), bytes_of)?)))
+        .try_fold(chunk, |chunk, l| Ok(chunk.after(follow(attributes, l, blocks, bytes_of(l), bytes_of)?)))
 }
 
 fn report(
@@ -269,18 +269,17 @@ fn report(
             let mut values = column.checked_sub(1).map(|a| Column::zeros(attributes[a].ty, 0));
             for i in (0..repeats).flat_map(|_| 0..parts.len()) {
                 let (part, chunk) = (&parts[i], &chunks[i]);
+                let blocks = Blocks::new(part.keys.len(), BlockSize::LARGEST);
                 if let (Some(values), Some(a)) = (&mut values, column.checked_sub(1)) {
                     values.resize(0);
                     let positions = &rows.get(&0).ok_or("positions come first")?.0[i];
-                    let positions = PositionChunk::parse(positions, part.cube, part.keys.len())?;
+                    let positions = PositionChunk::parse(positions, part.cube, blocks)?;
                     // Those that it follows are decoded too, as by a reader who wants this one alone.
                     let bytes = |l: usize| rows.get(&(l + 1)).map_or(&chunk[..], |row| &row.0[i]);
-                    follow(attributes, a, part.keys.len(), chunk, &bytes)?
-                        .at(&positions)
-                        .decode(&mut decoder, values)?;
+                    follow(attributes, a, blocks, chunk, &bytes)?.at(&positions).decode(&mut decoder, values)?;
                 } else {
                     [&mut positions.x, &mut positions.y, &mut positions.z].into_iter().for_each(Vec::clear);
-                    PositionChunk::parse(chunk, part.cube, part.keys.len())?.decode(&mut decoder, &mut positions)?;
+                    PositionChunk::parse(chunk, part.cube, blocks)?.decode(&mut decoder, &mut positions)?;
                 }
                 black_box((&positions, &values));
             }

@@ -3,6 +3,7 @@
 
 #![allow(missing_docs)]
 
+use esker::codec::BlockSize;
 use esker::geometry::{Camera, WorldBox};
 use esker::lattice::{BIAS, Cube, Exactness, Lattice, LatticeBox, LatticePoint};
 use esker::points::Batch;
@@ -75,6 +76,7 @@ fn made_up(path: &Path) -> Result<(), Error> {
         let columns = |slots: std::ops::Range<u16>| slots.map(|slot| (slot, 9000)).collect();
         let part = PartHead {
             points: POINTS_A_NODE,
+            block_size: BlockSize::LARGEST,
             first_step: Step { group: 1, ..step },
             last_step: Some(step),
             chunks: columns(0..8),

@@ -193,15 +193,24 @@ def residuals(piece, count):
     return numbers
 
 
-def positions(data, points, k):
+def cut(points, size):
+    """The blocks of a part: slices of its points."""
+    return [slice(begin, min(begin + size, points)) for begin in range(0, points, size)]
+
+
+def points_of(blocks):
+    return blocks[-1].stop if blocks else 0
+
+
+def positions(data, blocks, k):
     """Sections "Heads" and "Blocks of positions": int64 relative to the cube's low corner.
 
     Also per block its passes, how many and each point's, or None.
     """
     piece = Piece(data)
     check(piece.integer(1) == 1, "codec")
-    check(piece.varint() == points, "count")
-    counts = [min(BLOCK, points - begin) for begin in range(0, points, BLOCK)]
+    check(piece.varint() == points_of(blocks), "count")
+    counts = [block.stop - block.start for block in blocks]
     width = -(-k // 8)
     bounds = [[piece.integer(width) for _ in range(6)] for _ in counts]
     lengths = [piece.varint() for _ in counts]
@@ -288,28 +297,26 @@ def numbers(piece, count):
     return found
 
 
-def column(data, dtype, points, places, passes, leaders):
+def column(data, dtype, blocks, places, passes, leaders):
     """An attribute's values (section "Heads"). ``leaders``: the columns it follows, those that the part has, in order."""
     piece = Piece(data)
     check(piece.integer(1) == 2, "codec")
-    check(piece.varint() == points, "count")
+    check(piece.varint() == points_of(blocks), "count")
     code, width = piece.integer(1), np.dtype(dtype).itemsize
     check(TYPES[code & 127 : (code & 127) + 1] == [dtype], "type")
     if code & 128:
         MET["one value"] += 1
         value = np.frombuffer(piece.take(width), "<" + dtype)
         piece.end()
-        return np.repeat(value, points)
-    begins = range(0, points, BLOCK)
-    lengths = [piece.varint() for _ in begins]
-    blocks = []
-    for i, (begin, length) in enumerate(zip(begins, lengths)):
-        at = slice(begin, min(begin + BLOCK, points))
+        return np.repeat(value, points_of(blocks))
+    lengths = [piece.varint() for _ in blocks]
+    values = []
+    for i, (at, length) in enumerate(zip(blocks, lengths)):
         block = Piece(piece.take(length))
-        blocks += block_of_values(block, width, places[at], passes[i], [leader[at] for leader in leaders])
+        values += block_of_values(block, width, places[at], passes[i], [leader[at] for leader in leaders])
         block.end()
     piece.end()
-    return values_of_integers(blocks, dtype)
+    return values_of_integers(values, dtype)
 
 
 def values_of_integers(integers, dtype):

@@ -10,7 +10,7 @@ from decimal import Decimal
 
 import numpy as np
 import xxhash
-from reference_codec import Damaged, Piece, check, column, positions
+from reference_codec import Damaged, Piece, check, column, cut, positions
 
 BIAS = 0x5555_5555_5555
 POSITIONS, SCANS, PACKED = 0, 1, 65_535
@@ -39,12 +39,12 @@ def checksum(table, values):
     return struct.unpack("<q", struct.pack("<Q", digest.intdigest()))[0]
 
 
-def check_pieces(pieces, data, points):
+def check_pieces(pieces, data, blocks):
     """Section "Checksums": of each piece its length, its block and one, and its checksum."""
     piece, at = Piece(pieces), 0
     while piece.at < len(pieces):
         length, block, said = piece.varint(), piece.varint(), piece.integer(8)
-        check(block <= -(-points // 4096), "block of a piece")
+        check(block <= len(blocks), "block of a piece")
         check(said == xxhash.xxh3_64_intdigest(data[at : at + length]), "checksum of chunk, a piece")
         at += length
     check(at == len(data), "lengths of pieces")
@@ -96,7 +96,9 @@ class Part:
     """A part, as its node's row says (section "node")."""
 
     def __init__(self, piece):
-        self.points = piece.varint()
+        self.points, exponent = piece.varint(), piece.integer(1)
+        check(4 <= exponent <= 12, "size of blocks")
+        self.blocks = cut(self.points, 1 << exponent)
         self.first_step, self.last_complete_step = read_step(piece), read_step(piece)
         self.rows = {piece.varint(): piece.varint() for _ in range(piece.varint())}
         self.packed = {piece.varint(): piece.varint() for _ in range(piece.varint())}
@@ -173,24 +175,24 @@ class Store:
         check(count == self.site["nodes"], "number of nodes")
         check(self.database.execute("SELECT count(*) FROM node").fetchone() == (count,), "number of node rows")
 
-    def chunk(self, node, number, slot, points, length):
+    def chunk(self, node, number, slot, part, length):
         """A chunk row's bytes (section "chunk")."""
         id = node.chunk_base + number * 65_536 + slot
         rows = list(self.rows("chunk", "WHERE id = ?", (id,)))
         check(len(rows) == 1, "a chunk that is not there")
-        expected = {"layer": node.layer, "key": node.key, "part": number, "slot": slot, "points": points}
+        expected = {"layer": node.layer, "key": node.key, "part": number, "slot": slot, "points": part.points}
         check(all(rows[0][name] == value for name, value in expected.items()), "a chunk of something else")
         check(len(rows[0]["bytes"]) == length, "length of a chunk")
         check(rows[0]["codec"] == (0 if slot == PACKED else rows[0]["bytes"][0]), "codec of a chunk")
-        check_pieces(rows[0]["pieces"], rows[0]["bytes"], points)
+        check_pieces(rows[0]["pieces"], rows[0]["bytes"], part.blocks)
         return rows[0]["bytes"]
 
     def columns(self, node, number):
         """The bytes of a part's columns, by slot."""
         part = node.parts[number]
-        found = {slot: self.chunk(node, number, slot, part.points, length) for slot, length in part.rows.items()}
+        found = {slot: self.chunk(node, number, slot, part, length) for slot, length in part.rows.items()}
         if part.packed:
-            piece = Piece(self.chunk(node, number, PACKED, part.points, part.packed_bytes))
+            piece = Piece(self.chunk(node, number, PACKED, part, part.packed_bytes))
             lengths = {piece.varint(): piece.varint() for _ in range(piece.varint())}
             check(lengths == part.packed and list(lengths) == sorted(lengths), "columns of a packed row")
             found.update({slot: piece.take(length) for slot, length in lengths.items()})
@@ -199,8 +201,8 @@ class Store:
 
     def part(self, node, number):
         """A part's lattice positions (n x 3 int64), scan ids, and values by attribute id."""
-        points, columns = node.parts[number].points, self.columns(node, number)
-        places, passes = positions(columns.pop(POSITIONS), points, node.k)
+        blocks, columns = node.parts[number].blocks, self.columns(node, number)
+        places, passes = positions(columns.pop(POSITIONS), blocks, node.k)
         found = {}
 
         def decoded(slot):
@@ -216,7 +218,7 @@ class Store:
                         if leader not in columns:
                             break
                         leaders.append(decoded(leader))
-                found[slot] = column(columns[slot], dtype, points, places, passes, leaders)
+                found[slot] = column(columns[slot], dtype, blocks, places, passes, leaders)
             return found[slot]
 
         for slot in columns:

@@ -8,7 +8,7 @@ use super::morton;
 use super::passes::{Beside, BlockPasses, Passes};
 use super::reader::{Reader, put_uint};
 use super::value::Value;
-use super::{BLOCK_POINTS, CodecError, Decoder, Encoder, PositionChunk, block_count, block_range};
+use super::{Blocks, CodecError, Decoder, Encoder, PositionChunk};
 use crate::lattice::{Cube, LOW_DIGITS, SortKey};
 use crate::points::{Column, ScalarType};
 use crate::with_column;
@@ -67,7 +67,7 @@ impl Encoder {
         }
         put_head(CODEC, column.len(), out)?;
         let prefix = cube.first_key().low;
-        let blocks = keys.chunks(BLOCK_POINTS).map(|keys| {
+        let blocks = keys.chunks(self.size.points()).map(|keys| {
             let mut places = Vec::new();
             morton::places(cube, keys.iter().map(|key| key.halves().1 ^ prefix), &mut places);
             BlockPasses { places, ..BlockPasses::default() }
@@ -146,9 +146,11 @@ impl Encoder {
         self.blocks.clear();
         self.ends.clear();
         self.buffers.joint = None;
-        for (block, own) in values.chunks(BLOCK_POINTS).enumerate() {
+        let cut = Blocks::new(values.len(), self.size);
+        for block in 0..cut.count() {
             let Self { streams, buffers, blocks, .. } = self;
-            let leaders = leaders.map(|leader| leader.map(|leader| &leader[block_range(block, leader.len())]));
+            let own = &values[cut.range(block)];
+            let leaders = leaders.map(|leader| leader.map(|leader| &leader[cut.range(block)]));
             put_block(streams, buffers, ty, own, beside.block(block), leaders, blocks);
             self.ends.push(self.blocks.len());
         }
@@ -160,7 +162,7 @@ impl Encoder {
 #[derive(Clone, Debug)]
 pub struct ColumnChunk<'a> {
     ty: ScalarType,
-    count: usize,
+    blocks: Blocks,
     content: Content<'a>,
     positions: Option<&'a PositionChunk<'a>>,
     leaders: Vec<ColumnChunk<'a>>,
@@ -176,25 +178,24 @@ enum Content<'a> {
 }
 
 /// See [`cuts`](super::cuts).
-pub(super) fn cuts(bytes: &[u8], count: usize) -> Result<Vec<Cut>, CodecError> {
+pub(super) fn cuts(bytes: &[u8], blocks: Blocks) -> Result<Vec<Cut>, CodecError> {
     let mut reader = Reader::new(bytes);
-    read_head(&mut reader, CODEC, count)?;
+    read_head(&mut reader, CODEC, blocks.points())?;
     if reader.u8(TYPE)? & CONSTANT != 0 {
         return Ok(vec![Cut { end: bytes.len(), block: None }]);
     }
-    let blocks = block_count(count);
-    Ok(Directory::read(reader, blocks)?.cuts(blocks, bytes.len()))
+    Ok(Directory::read(reader, blocks.count())?.cuts(blocks.count(), bytes.len()))
 }
 
 impl<'a> ColumnChunk<'a> {
-    /// Reads the head of the chunk of `count` values.
+    /// Reads the head of the chunk of the values of a part with these blocks.
     ///
     /// # Errors
     ///
     /// [`CodecError`] if the head is not that of such a chunk.
-    pub fn parse(bytes: &'a [u8], ty: ScalarType, count: usize) -> Result<Self, CodecError> {
+    pub fn parse(bytes: &'a [u8], ty: ScalarType, blocks: Blocks) -> Result<Self, CodecError> {
         let mut reader = Reader::new(bytes);
-        read_head(&mut reader, CODEC, count)?;
+        read_head(&mut reader, CODEC, blocks.points())?;
         let kind = reader.u8(TYPE)?;
         let found = ScalarType::ALL.into_iter().find(|t| type_code(*t) == kind & !CONSTANT);
         if found != Some(ty) {
@@ -202,13 +203,13 @@ impl<'a> ColumnChunk<'a> {
             return Err(CodecError::Type { expected: ty.word(), found });
         }
         let content = if kind & CONSTANT == 0 {
-            Content::Blocks(Directory::read(reader, block_count(count))?)
+            Content::Blocks(Directory::read(reader, blocks.count())?)
         } else {
             let bits = reader.uint(ty.size(), "constant value")?;
             reader.end("bytes after a constant value")?;
             Content::Constant(bits)
         };
-        Ok(Self { ty, count, content, positions: None, leaders: Vec::new(), leads: false })
+        Ok(Self { ty, blocks, content, positions: None, leaders: Vec::new(), leads: false })
     }
 
     /// Says where the positions of the same points are, which some blocks need.
@@ -233,12 +234,12 @@ impl<'a> ColumnChunk<'a> {
 
     /// The number of values.
     pub fn count(&self) -> usize {
-        self.count
+        self.blocks.points()
     }
 
     /// The number of blocks.
     pub fn blocks(&self) -> usize {
-        block_count(self.count)
+        self.blocks.count()
     }
 
     /// The bytes of the value that all points have, little-endian, if the chunk says so; the rest is zero.
@@ -272,7 +273,7 @@ impl<'a> ColumnChunk<'a> {
         if block >= self.blocks() {
             return Err(CodecError::Block { block, blocks: self.blocks() });
         }
-        let count = block_range(block, self.count).len();
+        let count = self.blocks.len_of(block);
         match (&self.content, &mut *out) {
             (Content::Constant(bits), out) => {
                 with_column!(out, values => values.resize(values.len() + count, Value::of_bits(*bits)));
@@ -305,7 +306,7 @@ impl<'a> ColumnChunk<'a> {
         bytes: &[u8],
         out: &mut Vec<T>,
     ) -> Result<(), CodecError> {
-        let count = block_range(block, self.count).len();
+        let count = self.blocks.len_of(block);
         let beside = self.positions.map(|positions| (positions, block));
         let mut kept: [Option<Kept>; MAX_LEADERS] = Default::default();
         // The last one may follow those before it, and then finds them where they are kept.
@@ -326,7 +327,7 @@ impl<'a> ColumnChunk<'a> {
             decoder.leaders.put_spare(fresh);
             return Ok(found);
         }
-        let count = block_range(block, self.count).len();
+        let count = self.blocks.len_of(block);
         match (&self.content, self.ty) {
             (Content::Constant(bits), ScalarType::U8 | ScalarType::U16) => fresh.values.resize(count, *bits as u16),
             (Content::Blocks(directory), ScalarType::U16) => {
@@ -349,7 +350,7 @@ impl<'a> ColumnChunk<'a> {
             Content::Blocks(directory) => (0, directory.block(block)?),
         };
         key.push(type_code(self.ty) | kind);
-        key.extend_from_slice(&(block_range(block, self.count).len() as u32).to_le_bytes());
+        key.extend_from_slice(&(self.blocks.len_of(block) as u32).to_le_bytes());
         key.extend_from_slice(&(bytes.len() as u64).to_le_bytes());
         key.extend_from_slice(bytes);
         if let Some(positions) = self.positions.filter(|_| kind == 0 && needs_passes(bytes)) {
@@ -364,7 +365,7 @@ impl<'a> ColumnChunk<'a> {
     ///
     /// As [`ColumnChunk::decode_block`]; `out` then has the blocks before the damaged one.
     pub fn decode(&self, decoder: &mut Decoder, out: &mut Column) -> Result<(), CodecError> {
-        with_column!(&mut *out, values => values.reserve(self.count));
+        with_column!(&mut *out, values => values.reserve(self.blocks.points()));
         (0..self.blocks()).try_for_each(|block| self.decode_block(decoder, block, out))
     }
 }

@@ -3,7 +3,7 @@
 //! The head is `codec u8, count varint`; the kind's own bytes follow, and then per block its length as a varint.
 
 use super::reader::{Reader, put_varint};
-use super::{CodecError, MAX_POINTS, PositionChunk, column};
+use super::{Blocks, CodecError, MAX_POINTS, PositionChunk, column};
 use crate::lattice::Cube;
 
 /// Writes codec and count.
@@ -25,16 +25,16 @@ pub struct Cut {
     pub block: Option<usize>,
 }
 
-/// The pieces in which the chunk of `count` points can be read, in order: those that are a block each, and what lies before,
+/// The pieces in which the chunk of a part with these blocks can be read, in order: those that are a block each, and what lies before,
 /// between and behind them. For positions their cube is given.
 ///
 /// # Errors
 ///
 /// [`CodecError`] if its head is none.
-pub fn cuts(bytes: &[u8], positions_of: Option<Cube>, count: usize) -> Result<Vec<Cut>, CodecError> {
+pub fn cuts(bytes: &[u8], positions_of: Option<Cube>, blocks: Blocks) -> Result<Vec<Cut>, CodecError> {
     match positions_of {
-        Some(cube) => Ok(PositionChunk::parse(bytes, cube, count)?.cuts(bytes.len())),
-        None => column::cuts(bytes, count),
+        Some(cube) => Ok(PositionChunk::parse(bytes, cube, blocks)?.cuts(bytes.len())),
+        None => column::cuts(bytes, blocks),
     }
 }
 

@@ -1,6 +1,6 @@
 //! Chunks: one column of one part of one node as bytes, and back. Pure: bytes in, columns out.
 //!
-//! A chunk is cut into blocks of [`BLOCK_POINTS`] points (the last one shorter), all chunks of a part alike. A
+//! A chunk is cut into [`Blocks`] of one size (the last one shorter), all chunks of a part alike. A
 //! directory at its head says where each block lies, so a block decodes without the others. `docs/format-codec.md` has
 //! every byte.
 //!
@@ -13,6 +13,7 @@
 
 mod bits;
 mod block;
+mod blocks;
 mod checksum;
 mod column;
 mod dictionary;
@@ -37,6 +38,7 @@ mod tests;
 mod value;
 mod wide;
 
+pub use blocks::{BlockSize, Blocks};
 pub use checksum::Checksum;
 pub use column::ColumnChunk;
 pub use directory::{Cut, cuts};
@@ -45,19 +47,8 @@ pub use passes::Passes;
 pub use position::PositionChunk;
 pub use scratch::{Decoder, Encoder};
 
-/// Points of a block: the unit of decoding.
-pub const BLOCK_POINTS: usize = 4096;
-
 /// The most points that a part, and so a chunk, may have.
 pub const MAX_POINTS: usize = 1 << 24;
 
-/// The range of points of block `block`.
-pub fn block_range(block: usize, count: usize) -> std::ops::Range<usize> {
-    let start = block.saturating_mul(BLOCK_POINTS).min(count);
-    start..start.saturating_add(BLOCK_POINTS).min(count)
-}
-
-/// How many blocks `count` points have.
-pub fn block_count(count: usize) -> usize {
-    count.div_ceil(BLOCK_POINTS)
-}
+/// The most points of a block.
+const BLOCK_POINTS: usize = BlockSize::LARGEST.points();

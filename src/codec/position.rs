@@ -8,7 +8,7 @@ use super::directory::{Cut, Directory, put_head, read_head};
 use super::passes::{self, Passes};
 use super::reader::{Reader, put_uint, put_varint};
 use super::residual::{plan_all, put_residuals, read_residuals};
-use super::{CodecError, Decoder, Encoder, block_count, block_range, morton};
+use super::{Blocks, CodecError, Decoder, Encoder, morton};
 use crate::lattice::{Cube, LOW_DIGITS, LatticeBox, LatticePoint, SortKey};
 use crate::points::Positions;
 
@@ -58,8 +58,9 @@ impl Encoder {
         self.blocks.clear();
         self.ends.clear();
         let mut before = None;
-        for block in 0..block_count(keys.len()) {
-            let range = block_range(block, keys.len());
+        let cut = Blocks::new(keys.len(), self.size);
+        for block in 0..cut.count() {
+            let range = cut.range(block);
             let first = range.start;
             let keys = &keys[range];
             if before.is_some_and(|before| keys[0] < before) {
@@ -79,7 +80,7 @@ impl Encoder {
             }
             self.ends.push(self.blocks.len());
         }
-        for block in 0..block_count(keys.len()) {
+        for block in 0..cut.count() {
             if let Some(passes) = passes.blocks.get(block) {
                 passes.put(&mut self.streams, &mut self.buffers.packed, &mut self.blocks);
             }
@@ -131,22 +132,22 @@ impl Encoder {
 #[derive(Clone, Debug)]
 pub struct PositionChunk<'a> {
     cube: Cube,
-    count: usize,
+    blocks: Blocks,
     bounds: Vec<LatticeBox>,
     directory: Directory<'a>,
 }
 
 impl<'a> PositionChunk<'a> {
-    /// Reads the head of the chunk of `count` points inside `cube`.
+    /// Reads the head of the chunk of the points of a part, with these blocks, inside `cube`.
     ///
     /// # Errors
     ///
     /// [`CodecError`] if the head is not that of such a chunk.
-    pub fn parse(bytes: &'a [u8], cube: Cube, count: usize) -> Result<Self, CodecError> {
+    pub fn parse(bytes: &'a [u8], cube: Cube, blocks: Blocks) -> Result<Self, CodecError> {
         let mut reader = Reader::new(bytes);
-        read_head(&mut reader, CODEC, count)?;
-        let mut bounds = Vec::with_capacity(block_count(count));
-        for _ in 0..block_count(count) {
+        read_head(&mut reader, CODEC, blocks.points())?;
+        let mut bounds = Vec::with_capacity(blocks.count());
+        for _ in 0..blocks.count() {
             let min = read_corner(&mut reader, cube)?;
             let max = read_corner(&mut reader, cube)?;
             if let Some(axis) = (0..3).find(|i| min.0[*i] > max.0[*i]) {
@@ -155,7 +156,7 @@ impl<'a> PositionChunk<'a> {
             }
             bounds.push(LatticeBox { min, max });
         }
-        Ok(Self { cube, count, bounds, directory: Directory::read(reader, 2 * block_count(count))? })
+        Ok(Self { cube, blocks, bounds, directory: Directory::read(reader, 2 * blocks.count())? })
     }
 
     /// See [`cuts`](super::cuts).
@@ -165,10 +166,10 @@ impl<'a> PositionChunk<'a> {
 
     /// The number of points.
     pub fn count(&self) -> usize {
-        self.count
+        self.blocks.points()
     }
 
-    /// The tight bounds of each block: one per [`super::BLOCK_POINTS`] points, in key order.
+    /// The tight bounds of each block, in key order.
     pub fn blocks(&self) -> &[LatticeBox] {
         &self.bounds
     }
@@ -202,7 +203,7 @@ impl<'a> PositionChunk<'a> {
     ///
     /// As [`PositionChunk::decode_block`]; `out` then has the blocks before the damaged one.
     pub fn decode(&self, decoder: &mut Decoder, out: &mut Positions) -> Result<(), CodecError> {
-        [&mut out.x, &mut out.y, &mut out.z].into_iter().for_each(|axis| axis.reserve(self.count));
+        [&mut out.x, &mut out.y, &mut out.z].into_iter().for_each(|axis| axis.reserve(self.blocks.points()));
         (0..self.bounds.len()).try_for_each(|block| self.decode_block(decoder, block, out))
     }
 
@@ -240,7 +241,7 @@ impl<'a> PositionChunk<'a> {
     ///
     /// As [`PositionChunk::decode`].
     pub fn decode_keys<K: SortKey>(&self, decoder: &mut Decoder, out: &mut Vec<K>) -> Result<(), CodecError> {
-        out.reserve(self.count);
+        out.reserve(self.blocks.points());
         (0..self.bounds.len()).try_for_each(|block| self.decode_block_keys(decoder, block, out))
     }
 
@@ -259,7 +260,7 @@ impl<'a> PositionChunk<'a> {
     /// Decodes the passes of the points of one block into `decoder.passes`, unless they are there, and gives their number.
     pub(super) fn passes(&self, decoder: &mut Decoder, block: usize) -> Result<usize, CodecError> {
         let bytes = self.directory.block(self.bounds.len() + block)?;
-        let count = block_range(block, self.count).len();
+        let count = self.blocks.len_of(block);
         let Decoder { streams, passes, passes_of: (of, found), .. } = decoder;
         if *found > 0 && passes.len() == count && of == bytes {
             return Ok(*found);
@@ -286,7 +287,7 @@ impl<'a> PositionChunk<'a> {
         if block >= self.bounds.len() {
             return Err(CodecError::Block { block, blocks: self.bounds.len() });
         }
-        Ok((self.directory.block(block)?, block_range(block, self.count).len()))
+        Ok((self.directory.block(block)?, self.blocks.len_of(block)))
     }
 
     /// Reads a block's keys, relative to the cube's first, into `decoder.keys`, unless they are there.

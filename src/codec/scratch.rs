@@ -1,5 +1,6 @@
 //! What encoding and decoding keep from one chunk to the next: zstd's contexts and buffers of a block's size.
 
+use super::BlockSize;
 use super::joint::{Choice, MAX_LEADERS};
 use super::leaders::KeptLeaders;
 use super::lines::{LineBuffers, LineScratch, Place};
@@ -12,6 +13,8 @@ use super::stream::{StreamReader, StreamWriter};
 pub struct Encoder {
     pub(super) streams: StreamWriter,
     pub(super) buffers: Buffers,
+    /// How chunks are cut.
+    pub(super) size: BlockSize,
     /// All blocks of a chunk, before their directory is known.
     pub(super) blocks: Vec<u8>,
     /// The blocks' ends in `blocks`.
@@ -81,9 +84,14 @@ pub(super) struct KeptKeys {
 }
 
 impl Encoder {
-    /// Fresh contexts.
+    /// Fresh contexts; chunks are cut into blocks of the largest size.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Cuts the chunks from now on into blocks of this size: those of one part must be cut alike.
+    pub fn cut_into(&mut self, size: BlockSize) {
+        self.size = size;
     }
 }
 

@@ -6,6 +6,23 @@ use crate::points::{Column, Positions, ScalarType};
 use crate::with_column;
 use proptest::prelude::*;
 
+/// Any size of blocks, half of the time the largest.
+fn sizes() -> impl Strategy<Value = BlockSize> {
+    prop_oneof![Just(BlockSize::LARGEST), (4_u8..=12).prop_map(|exponent| BlockSize::of_exponent(exponent).unwrap())]
+}
+
+/// So many points in blocks of the largest size.
+fn large(points: usize) -> Blocks {
+    Blocks::new(points, BlockSize::LARGEST)
+}
+
+/// Cuts into blocks of this size.
+fn encoder(size: BlockSize) -> Encoder {
+    let mut encoder = Encoder::new();
+    encoder.cut_into(size);
+    encoder
+}
+
 /// A cube and points in it, in key order, some of them repeated; more than a block now and then.
 fn cloud(max_k: u8) -> impl Strategy<Value = (Cube, Vec<Key>)> {
     let offsets = prop::collection::vec((prop::array::uniform3(any::<u64>()), 0_u32..48), 0..120);
@@ -61,36 +78,40 @@ fn bits(column: &Column) -> Vec<[u8; 8]> {
 }
 
 /// Decodes everything that a chunk of positions offers, whatever its bytes are.
-fn read_positions(bytes: &[u8], cube: Cube, count: usize) -> Result<Positions, CodecError> {
+fn read_positions(bytes: &[u8], cube: Cube, blocks: Blocks) -> Result<Positions, CodecError> {
     let mut positions = Positions::default();
     let mut keys = Vec::<Key>::new();
-    let chunk = PositionChunk::parse(bytes, cube, count)?;
+    let chunk = PositionChunk::parse(bytes, cube, blocks)?;
     chunk.decode_keys(&mut Decoder::new(), &mut keys)?;
     chunk.decode(&mut Decoder::new(), &mut positions)?;
-    assert_eq!(positions.len(), count);
+    assert_eq!(positions.len(), blocks.points());
     assert!(positions.iter().all(|p| cube.contains(p)));
     assert!(positions.iter().map(Key::of).eq(keys.iter().copied()));
-    assert!(keys.chunks(BLOCK_POINTS).all(|block| block.is_sorted()));
+    assert!((0..blocks.count()).all(|block| keys[blocks.range(block)].is_sorted()));
     Ok(positions)
 }
 
-fn read_column(bytes: &[u8], ty: ScalarType, count: usize) -> Result<Column, CodecError> {
+fn read_column(bytes: &[u8], ty: ScalarType, blocks: Blocks) -> Result<Column, CodecError> {
     let mut column = Column::zeros(ty, 0);
-    ColumnChunk::parse(bytes, ty, count)?.decode(&mut Decoder::new(), &mut column)?;
-    assert_eq!(column.len(), count);
+    ColumnChunk::parse(bytes, ty, blocks)?.decode(&mut Decoder::new(), &mut column)?;
+    assert_eq!(column.len(), blocks.points());
     Ok(column)
 }
 
 proptest! {
     #[test]
-    fn positions_come_back_block_by_block_with_tight_bounds((cube, keys) in prop_oneof![cloud(21), cloud(48)]) {
-        let (mut encoder, mut decoder) = (Encoder::new(), Decoder::new());
+    fn positions_come_back_block_by_block_with_tight_bounds(
+        (cube, keys) in prop_oneof![cloud(21), cloud(48)],
+        size in sizes(),
+    ) {
+        let (mut encoder, mut decoder) = (encoder(size), Decoder::new());
+        let blocks = Blocks::new(keys.len(), size);
         let mut bytes = vec![9; 3];
         encoder.positions(cube, &keys, &mut bytes).unwrap();
-        let chunk = PositionChunk::parse(&bytes[3..], cube, keys.len()).unwrap();
-        prop_assert_eq!(chunk.blocks().len(), block_count(keys.len()));
+        let chunk = PositionChunk::parse(&bytes[3..], cube, blocks).unwrap();
+        prop_assert_eq!(chunk.blocks().len(), blocks.count());
         for (block, bounds) in chunk.blocks().iter().enumerate() {
-            let keys = &keys[block_range(block, keys.len())];
+            let keys = &keys[blocks.range(block)];
             let (mut positions, mut back) = (Positions::default(), Vec::<Key>::new());
             chunk.decode_block(&mut decoder, block, &mut positions).unwrap();
             prop_assert!(positions.iter().eq(keys.iter().map(|k| k.point())));
@@ -108,7 +129,7 @@ proptest! {
             chunk.decode_keys(&mut decoder, &mut back).unwrap();
             prop_assert_eq!(back, low);
         }
-        prop_assert_eq!(read_positions(&bytes[3..], cube, keys.len()).unwrap().len(), keys.len());
+        prop_assert_eq!(read_positions(&bytes[3..], cube, blocks).unwrap().len(), keys.len());
     }
 
     #[test]
@@ -130,17 +151,17 @@ proptest! {
     }
 
     #[test]
-    fn columns_come_back_bit_for_bit(column in column()) {
+    fn columns_come_back_bit_for_bit(column in column(), size in sizes()) {
         let mut bytes = vec![7];
-        let mut encoder = Encoder::new();
+        let (mut encoder, blocks) = (encoder(size), Blocks::new(column.len(), size));
         encoder.column(&column, &mut bytes).unwrap();
-        let chunk = ColumnChunk::parse(&bytes[1..], column.ty(), column.len()).unwrap();
+        let chunk = ColumnChunk::parse(&bytes[1..], column.ty(), blocks).unwrap();
         let (mut back, mut decoder) = (Column::zeros(column.ty(), 1), Decoder::new());
         for block in 0..chunk.blocks() {
             chunk.decode_block(&mut decoder, block, &mut back).unwrap();
         }
         prop_assert_eq!(&bits(&back)[1..], &bits(&column)[..]);
-        prop_assert_eq!(bits(&read_column(&bytes[1..], column.ty(), column.len()).unwrap()), bits(&column));
+        prop_assert_eq!(bits(&read_column(&bytes[1..], column.ty(), blocks).unwrap()), bits(&column));
         // At most the values themselves and a little.
         prop_assert!(bytes.len() <= 16 + (column.ty().size() * column.len()) + 8 * chunk.blocks());
         let constant = (1..column.len()).all(|i| column.raw(i) == column.raw(0)) && !column.is_empty();
@@ -153,16 +174,18 @@ proptest! {
         (cube, keys) in prop_oneof![cloud(21), cloud(48)],
         flips in prop::collection::vec((any::<prop::sample::Index>(), 1_u8..), 1..4),
         cut: prop::sample::Index,
+        size in sizes(),
     ) {
         let mut bytes = Vec::new();
-        Encoder::new().positions(cube, &keys, &mut bytes).unwrap();
-        prop_assert!(read_positions(&bytes[..cut.index(bytes.len())], cube, keys.len()).is_err());
-        prop_assert!(read_positions(&bytes, cube, keys.len() + 1).is_err());
-        prop_assert!(ColumnChunk::parse(&bytes, ScalarType::U8, keys.len()).is_err());
+        let blocks = Blocks::new(keys.len(), size);
+        encoder(size).positions(cube, &keys, &mut bytes).unwrap();
+        prop_assert!(read_positions(&bytes[..cut.index(bytes.len())], cube, blocks).is_err());
+        prop_assert!(read_positions(&bytes, cube, Blocks::new(keys.len() + 1, size)).is_err());
+        prop_assert!(ColumnChunk::parse(&bytes, ScalarType::U8, blocks).is_err());
         for (at, flip) in flips {
             *at.get_mut(&mut bytes) ^= flip;
         }
-        let _ = read_positions(&bytes, cube, keys.len());
+        let _ = read_positions(&bytes, cube, blocks);
     }
 
     #[test]
@@ -170,19 +193,20 @@ proptest! {
         column in column(),
         flips in prop::collection::vec((any::<prop::sample::Index>(), 1_u8..), 1..4),
         cut: prop::sample::Index,
+        size in sizes(),
     ) {
         let mut bytes = Vec::new();
-        Encoder::new().column(&column, &mut bytes).unwrap();
-        let (ty, count) = (column.ty(), column.len());
-        prop_assert!(read_column(&bytes[..cut.index(bytes.len())], ty, count).is_err());
-        prop_assert!(read_column(&bytes, ty, count + 1).is_err());
+        encoder(size).column(&column, &mut bytes).unwrap();
+        let (ty, blocks) = (column.ty(), Blocks::new(column.len(), size));
+        prop_assert!(read_column(&bytes[..cut.index(bytes.len())], ty, blocks).is_err());
+        prop_assert!(read_column(&bytes, ty, Blocks::new(column.len() + 1, size)).is_err());
         for other in ScalarType::ALL {
-            prop_assert!(other == ty || ColumnChunk::parse(&bytes, other, count).is_err());
+            prop_assert!(other == ty || ColumnChunk::parse(&bytes, other, blocks).is_err());
         }
         for (at, flip) in flips {
             *at.get_mut(&mut bytes) ^= flip;
         }
-        let _ = read_column(&bytes, ty, count);
+        let _ = read_column(&bytes, ty, blocks);
     }
 
     #[test]
@@ -192,12 +216,14 @@ proptest! {
         count in 0_usize..100,
         k in 0_u8..=48,
         ty in 0..ScalarType::ALL.len(),
+        size in sizes(),
     ) {
+        let blocks = Blocks::new(count, size);
         // With the right beginning, so that what follows is looked at.
         bytes.splice(0..bytes.len().min(2), [codec, count as u8]);
         let cube = Cube::containing(LatticePoint([1 << 47; 3]), k);
-        let _ = read_positions(&bytes, cube, count);
-        let _ = read_column(&bytes, ScalarType::ALL[ty], count);
+        let _ = read_positions(&bytes, cube, blocks);
+        let _ = read_column(&bytes, ScalarType::ALL[ty], blocks);
     }
 }
 
@@ -206,8 +232,8 @@ fn more_points_than_a_part_may_have_are_an_error() {
     let count = MAX_POINTS + 1;
     let cube = Cube::containing(LatticePoint::default(), 0);
     let error = CodecError::TooManyPoints { count };
-    assert_eq!(PositionChunk::parse(&[], cube, count).unwrap_err(), error);
-    assert_eq!(ColumnChunk::parse(&[], ScalarType::F64, count).unwrap_err(), error);
+    assert_eq!(PositionChunk::parse(&[], cube, large(count)).unwrap_err(), error);
+    assert_eq!(ColumnChunk::parse(&[], ScalarType::F64, large(count)).unwrap_err(), error);
     let mut out = Vec::new();
     assert_eq!(Encoder::new().column(&Column::zeros(ScalarType::U8, count), &mut out).unwrap_err(), error);
     assert_eq!(Encoder::new().positions(cube, &vec![0_u64; count], &mut out).unwrap_err(), error);
@@ -221,7 +247,7 @@ fn ten_million_coincident_points_cost_almost_nothing() {
     let mut bytes = Vec::new();
     Encoder::new().positions(cube, &vec![cube.first_key().low; count], &mut bytes).unwrap();
     assert!(bytes.len() < count / 100, "{} bytes", bytes.len());
-    let chunk = PositionChunk::parse(&bytes, cube, count).unwrap();
+    let chunk = PositionChunk::parse(&bytes, cube, large(count)).unwrap();
     let mut positions = Positions::default();
     chunk.decode_block(&mut Decoder::new(), 1234, &mut positions).unwrap();
     assert!(positions.iter().all(|p| p == cube.low()));
@@ -262,9 +288,10 @@ proptest! {
         jitter in 0_u64..8,
         damage: prop::sample::Index,
         to: u8,
+        size in sizes(),
     ) {
         let (cube, keys, columns) = flown(passes, jitter);
-        let mut encoder = Encoder::new();
+        let (mut encoder, blocks) = (encoder(size), Blocks::new(keys.len(), size));
         let mut chunks = vec![Vec::new(), Vec::new(), Vec::new()];
         let found = encoder.times(&columns[0], cube, &keys, &mut chunks[0]).unwrap();
         for (column, chunk) in columns.iter().zip(&mut chunks).skip(1) {
@@ -272,11 +299,11 @@ proptest! {
         }
         let mut positions = Vec::new();
         encoder.positions_with(cube, &keys, &found, &mut positions).unwrap();
-        prop_assert_eq!(read_positions(&positions, cube, keys.len()).unwrap().len(), keys.len());
+        prop_assert_eq!(read_positions(&positions, cube, blocks).unwrap().len(), keys.len());
         let read = |chunk: &[u8], positions: &[u8], ty: ScalarType| {
-            let positions = PositionChunk::parse(positions, cube, keys.len())?;
+            let positions = PositionChunk::parse(positions, cube, blocks)?;
             let mut column = Column::zeros(ty, 0);
-            ColumnChunk::parse(chunk, ty, keys.len())?.at(&positions).decode(&mut Decoder::new(), &mut column)?;
+            ColumnChunk::parse(chunk, ty, blocks)?.at(&positions).decode(&mut Decoder::new(), &mut column)?;
             Ok::<_, CodecError>(column)
         };
         for (column, chunk) in columns.iter().zip(&mut chunks) {
@@ -312,7 +339,7 @@ fn what_follows_from_positions_takes_little_and_asks_for_them() {
     // A hundredth of a byte a point, and what a block takes however little is in it.
     assert!(90 * sources.len() < keys.len(), "{} bytes", sources.len());
     let mut column = Column::zeros(ScalarType::F64, 0);
-    let chunk = ColumnChunk::parse(&times, ScalarType::F64, keys.len()).unwrap();
+    let chunk = ColumnChunk::parse(&times, ScalarType::F64, large(keys.len())).unwrap();
     assert_eq!(chunk.decode(&mut Decoder::new(), &mut column), Err(CodecError::NoPositions));
     assert_eq!(column.len(), 0);
 }
@@ -349,11 +376,12 @@ fn with_leaders<'a>(
     chunks: &'a [Vec<u8>],
     columns: &[(Column, Vec<usize>)],
     i: usize,
+    size: BlockSize,
 ) -> Result<ColumnChunk<'a>, CodecError> {
     let (column, leaders) = &columns[i];
-    let chunk = ColumnChunk::parse(&chunks[i], column.ty(), column.len())?;
+    let chunk = ColumnChunk::parse(&chunks[i], column.ty(), Blocks::new(column.len(), size))?;
     let chunk = if [0, 1, 3].contains(&i) { chunk.leading() } else { chunk };
-    leaders.iter().try_fold(chunk, |chunk, leader| Ok(chunk.after(with_leaders(chunks, columns, *leader)?)))
+    leaders.iter().try_fold(chunk, |chunk, leader| Ok(chunk.after(with_leaders(chunks, columns, *leader, size)?)))
 }
 
 proptest! {
@@ -365,9 +393,10 @@ proptest! {
         (noise, deep) in any::<(u64, bool)>(),
         order in Just(vec![0_usize, 1, 2, 3, 4]).prop_shuffle(),
         (hit, damage, to) in (0_usize..5, any::<prop::sample::Index>(), any::<u8>()),
+        size in sizes(),
     ) {
         let columns = followers(count, noise, deep);
-        let mut encoder = Encoder::new();
+        let mut encoder = encoder(size);
         let mut chunks: Vec<Vec<u8>> = Vec::new();
         for (column, leaders) in &columns {
             let leaders: Vec<_> = leaders.iter().map(|i| &columns[*i].0).collect();
@@ -377,9 +406,9 @@ proptest! {
         }
         let mut decoder = Decoder::new();
         let read = |decoder: &mut Decoder, chunks: &[Vec<u8>]| {
-            let parsed = order.iter().map(|i| with_leaders(chunks, &columns, *i)).collect::<Result<Vec<_>, _>>()?;
+            let parsed = order.iter().map(|i| with_leaders(chunks, &columns, *i, size)).collect::<Result<Vec<_>, _>>()?;
             let mut back: Vec<_> = order.iter().map(|i| Column::zeros(columns[*i].0.ty(), 0)).collect();
-            for block in 0..block_count(count) {
+            for block in 0..Blocks::new(count, size).count() {
                 for (chunk, back) in parsed.iter().zip(&mut back) {
                     chunk.decode_block(decoder, block, back)?;
                 }
@@ -391,7 +420,7 @@ proptest! {
         }
         for (i, (column, _)) in columns.iter().enumerate() {
             let mut back = Column::zeros(column.ty(), 0);
-            with_leaders(&chunks, &columns, i).unwrap().decode(&mut decoder, &mut back).unwrap();
+            with_leaders(&chunks, &columns, i, size).unwrap().decode(&mut decoder, &mut back).unwrap();
             prop_assert_eq!(&back, column);
         }
         // What is kept of damaged bytes is not taken for that of whole ones.
@@ -418,7 +447,7 @@ fn what_follows_another_column_takes_little_and_asks_for_it() {
         encoder.column(column, &mut alone).unwrap();
         assert!(10 * chunk.len() < 9 * alone.len(), "{} bytes, alone {}", chunk.len(), alone.len());
         let mut back = Column::zeros(column.ty(), 0);
-        let chunk = ColumnChunk::parse(&chunk, column.ty(), column.len()).unwrap();
+        let chunk = ColumnChunk::parse(&chunk, column.ty(), large(column.len())).unwrap();
         assert_eq!(chunk.decode(&mut Decoder::new(), &mut back), Err(CodecError::NoLeader));
         assert_eq!(back.len(), 0);
     }
@@ -446,7 +475,7 @@ fn a_kept_block_is_not_taken_for_one_that_follows_another_column() {
     let mut other = Vec::new();
     Encoder::new().column(&Column::U16(red.iter().map(|r| 300 - r).collect()), &mut other).unwrap();
     let green = |red| {
-        let chunk = |bytes| ColumnChunk::parse(bytes, ScalarType::U16, 300).unwrap();
+        let chunk = |bytes| ColumnChunk::parse(bytes, ScalarType::U16, large(300)).unwrap();
         chunk(&chunks[1]).after(chunk(red)).leading()
     };
     let (first, second) = (green(&chunks[0]), green(&other));
@@ -474,8 +503,8 @@ fn a_kept_block_is_not_taken_for_one_of_other_passes_or_of_another_length() {
     encoder.column_beside(&columns[1], &found, &mut bytes).unwrap();
     let mut decoder = Decoder::new();
     let mut read = |positions: &[u8]| {
-        let positions = PositionChunk::parse(positions, cube, keys.len()).unwrap();
-        let chunk = ColumnChunk::parse(&bytes, ScalarType::U16, keys.len()).unwrap().at(&positions).leading();
+        let positions = PositionChunk::parse(positions, cube, large(keys.len())).unwrap();
+        let chunk = ColumnChunk::parse(&bytes, ScalarType::U16, large(keys.len())).unwrap().at(&positions).leading();
         let anew = one_block(&chunk, ScalarType::U16, 0, &mut Decoder::new());
         assert_eq!(one_block(&chunk, ScalarType::U16, 0, &mut decoder), anew);
         anew
@@ -486,7 +515,7 @@ fn a_kept_block_is_not_taken_for_one_of_other_passes_or_of_another_length() {
     let values = Column::U16([vec![7; BLOCK_POINTS], vec![8; BLOCK_POINTS], vec![7; 9]].concat());
     let mut bytes = Vec::new();
     encoder.column(&values, &mut bytes).unwrap();
-    let chunk = ColumnChunk::parse(&bytes, ScalarType::U16, values.len()).unwrap().leading();
+    let chunk = ColumnChunk::parse(&bytes, ScalarType::U16, large(values.len())).unwrap().leading();
     let mut back = Column::zeros(ScalarType::U16, 0);
     chunk.decode(&mut decoder, &mut back).unwrap();
     assert_eq!(back, values);
@@ -515,17 +544,17 @@ fn fine_angles_follow_from_positions_which_a_large_cube_does_not_give() {
     let mut bytes = Vec::new();
     encoder.column_beside(&angles, &passes, &mut bytes).unwrap();
     assert!(4 * bytes.len() < keys.len(), "{} bytes for {} points", bytes.len(), keys.len());
-    let chunk = ColumnChunk::parse(&bytes, ScalarType::I16, keys.len()).unwrap();
-    let large = Cube::containing(cube.low(), 30);
+    let chunk = ColumnChunk::parse(&bytes, ScalarType::I16, large(keys.len())).unwrap();
+    let above = Cube::containing(cube.low(), 30);
     let in_large: Vec<_> = keys.iter().map(|key| Key { high: cube.first_key().high, low: *key }).collect();
     let (mut near, mut far) = (Vec::new(), Vec::new());
     encoder.positions_with(cube, &keys, &passes, &mut near).unwrap();
-    encoder.positions_with(large, &in_large, &passes, &mut far).unwrap();
+    encoder.positions_with(above, &in_large, &passes, &mut far).unwrap();
     let mut back = Column::zeros(ScalarType::I16, 0);
-    let positions = PositionChunk::parse(&near, cube, keys.len()).unwrap();
+    let positions = PositionChunk::parse(&near, cube, large(keys.len())).unwrap();
     chunk.clone().at(&positions).decode(&mut Decoder::new(), &mut back).unwrap();
     assert_eq!(back, angles);
-    let positions = PositionChunk::parse(&far, large, keys.len()).unwrap();
+    let positions = PositionChunk::parse(&far, above, large(keys.len())).unwrap();
     let error = chunk.at(&positions).decode(&mut Decoder::new(), &mut back).unwrap_err();
     assert!(matches!(error, CodecError::Range { place: "side of a cube with lines", .. }), "{error}");
 }

@@ -12,7 +12,7 @@ use crate::lattice::Cube;
 use crate::octree::assemble::{Assembler, EmittedNode, Entry, OwnedNode, Place, Subtree, build_bucket};
 use crate::octree::{self, Params, first_win, put_wins};
 use crate::store::{
-    ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, PointColumns, ScanTable, encode_node,
+    ChunkIds, DecodedPart, EncodeScratch, EncodedNode, NodeInput, PointColumns, ScanTable, block_size, encode_node,
 };
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -266,6 +266,7 @@ struct NodeFrame {
     cube: Cube,
     leaf: bool,
     children: u8,
+    rem: u64,
 }
 
 /// One thread's buffers.
@@ -311,10 +312,10 @@ impl<'a> Worker<'a> {
             wins,
             place,
             plan.params,
-            |EmittedNode { cube, leaf, children, points, .. }| {
+            |EmittedNode { cube, leaf, children, rem, points }| {
                 if result.is_ok() {
                     own.fill(points, keys, wins);
-                    result = self.encode(NodeFrame { cube, leaf, children }, own, points, rows);
+                    result = self.encode(NodeFrame { cube, leaf, children, rem }, own, points, rows);
                 }
             },
         );
@@ -333,13 +334,13 @@ impl<'a> Worker<'a> {
     }
 
     fn emit_owned(&mut self, nodes: Vec<OwnedNode<Held>>) -> Result<(), IngestError> {
-        for OwnedNode { cube, leaf, children, entries, .. } in nodes {
+        for OwnedNode { cube, leaf, children, rem, entries } in nodes {
             let own = NodeScratch {
                 keys: entries.iter().map(|e| e.key).collect(),
                 wins: entries.iter().map(|e| e.win).collect(),
             };
             let rows: Vec<u32> = (0..).take(entries.len()).collect();
-            self.encode(NodeFrame { cube, leaf, children }, &own, &rows, Rising(&entries))?;
+            self.encode(NodeFrame { cube, leaf, children, rem }, &own, &rows, Rising(&entries))?;
         }
         Ok(())
     }
@@ -347,7 +348,7 @@ impl<'a> Worker<'a> {
     /// Gives a node to the sink, in the form that it wants; its points are these `rows` of `source`.
     fn encode<'r, K: RowKey>(
         &mut self,
-        NodeFrame { cube, leaf, children }: NodeFrame,
+        NodeFrame { cube, leaf, children, rem }: NodeFrame,
         own: &NodeScratch<K>,
         rows: &[u32],
         source: impl RowSource<'r> + Copy,
@@ -376,7 +377,8 @@ impl<'a> Worker<'a> {
             };
             gather(self.plan.scans, part_rows, source, &mut self.gather, columns);
         }
-        let input = NodeInput { layer: self.plan.layer, cube, leaf, children, keys, plan: &cut, parts };
+        let (layer, block_size) = (self.plan.layer, block_size(rem));
+        let input = NodeInput { layer, cube, leaf, children, keys, plan: &cut, parts, block_size };
         let encoded = encode_node(&input, self.plan.table, self.plan.ids, &mut self.encode)
             .map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?;
         sink(encoded)

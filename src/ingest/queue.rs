@@ -101,6 +101,7 @@ impl Drop for Leaves<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::{BlockSize, Blocks};
     use crate::lattice::{Cube, LatticePoint};
     use crate::store::ChunkRow;
     use crate::store::model::{NodeHead, Zones};
@@ -110,7 +111,7 @@ mod tests {
 
     fn node(id: i64, bytes: usize) -> EncodedNode {
         let cube = Cube::containing(LatticePoint::default(), 9);
-        let row = ChunkRow::new(id, (0, cube), 0, 0, 1, vec![0; bytes]);
+        let row = ChunkRow::new(id, (0, cube), 0, 0, Blocks::new(1, BlockSize::LARGEST), vec![0; bytes]);
         EncodedNode { head: NodeHead::without_points(0, cube), zones: Zones::default(), chunks: vec![row] }
     }
 

@@ -8,7 +8,6 @@ use super::QueryError;
 use super::mask::Mask;
 use super::part::{Found, Look, Part};
 use super::plan::{Plan, Prospect, Scope};
-use crate::codec::BLOCK_POINTS;
 use crate::geometry::Containment;
 use crate::lattice::{Cube, Key, LatticeBox, LatticePoint};
 use crate::store::{Node, NodeIx};
@@ -49,7 +48,7 @@ impl Reading<'_> {
     /// The places of the matching points in the part, ascending.
     pub fn indices(&self) -> impl Iterator<Item = u32> + '_ {
         self.found.iter().flat_map(|f| {
-            let first = (f.block * BLOCK_POINTS) as u32;
+            let first = self.read.blocks.range(f.block).start as u32;
             f.mask.indices().into_iter().map(move |i| first + i)
         })
     }

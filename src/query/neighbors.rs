@@ -9,7 +9,6 @@ use super::answer::Meter;
 use super::cells::Pick;
 use super::near::{Near, NearBlock, RUN};
 use super::plan::{Plan, Prospect, Scope};
-use crate::codec::BLOCK_POINTS;
 use crate::geometry::Containment;
 use crate::lattice::{BIAS, Decimal, Key, LatticeBox, LatticePoint};
 use crate::store::Node;
@@ -180,7 +179,7 @@ impl<'a> Search<'a> {
             let outside = self.plan.region.classify(&bounds[block]) == Containment::Outside;
             if !outside && meets(&self.window, &block) {
                 let read = near.block(node, part, block)?;
-                let first = (block * BLOCK_POINTS) as u32;
+                let first = node.blocks(part).range(block).start as u32;
                 self.offer_block(&read, |key, i| Pick { key, node: node.ix(), part: part as u32, index: first + i });
             }
         }

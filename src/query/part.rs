@@ -5,7 +5,7 @@ use super::answer::{Meter, Stage};
 use super::block::{Block, BlockScans};
 use super::mask::Mask;
 use super::plan::Plan;
-use crate::codec::{CodecError, ColumnChunk, Decoder, PositionChunk, block_count, block_range};
+use crate::codec::{Blocks, CodecError, ColumnChunk, Decoder, PositionChunk};
 use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
 use crate::points::{Column, Positions, ScalarType};
@@ -23,7 +23,7 @@ pub(crate) struct Part<'a> {
     pub(super) plan: &'a Plan,
     head: Node,
     part: usize,
-    pub(super) points: usize,
+    pub(super) blocks: Blocks,
     chunks: Vec<(Slot, Option<ChunkBytes>)>,
     /// The blocks that are looked at; `None`: all. Of what is read, those are there.
     wanted: Option<Vec<bool>>,
@@ -63,9 +63,8 @@ impl<'a> Part<'a> {
     }
 
     pub fn new(plan: &'a Plan, head: &Node, part: usize) -> Self {
-        let points = head.parts.get(part).map_or(0, |p| p.points as usize);
         Meter::add(&plan.meter.parts, 1);
-        Self { plan, head: head.clone(), part, points, chunks: Vec::new(), wanted: None }
+        Self { plan, head: head.clone(), part, blocks: head.blocks(part), chunks: Vec::new(), wanted: None }
     }
 
     /// Reads the chunks of these columns that are not there yet.
@@ -92,9 +91,9 @@ impl<'a> Part<'a> {
 
     /// Reads the positions of the blocks that are not skipped, and no others of what is read later.
     pub(super) fn read_positions(&mut self, skips: &dyn Fn(&LatticeBox) -> bool) -> Result<(), QueryError> {
-        let (cube, points) = (self.head.cube, self.points);
+        let (cube, blocks) = (self.head.cube, self.blocks);
         let unskipped = |bytes: &[u8]| {
-            let positions = PositionChunk::parse(bytes, cube, points).ok()?;
+            let positions = PositionChunk::parse(bytes, cube, blocks).ok()?;
             Some(positions.blocks().iter().map(|bounds| !skips(bounds)).collect::<Vec<bool>>())
         };
         let mut wanted = None;
@@ -113,7 +112,7 @@ impl<'a> Part<'a> {
 
     /// Of what is read from now on only these blocks are wanted.
     pub(super) fn want(&mut self, blocks: impl Iterator<Item = usize>) {
-        let mut wanted = vec![false; block_count(self.points)];
+        let mut wanted = vec![false; self.blocks.count()];
         for block in blocks {
             if let Some(wanted) = wanted.get_mut(block) {
                 *wanted = true;
@@ -130,7 +129,7 @@ impl<'a> Part<'a> {
     /// Was of a column all read that is wanted?
     fn has_read(&self, slot: Slot) -> bool {
         let is_there = |chunk: &ChunkBytes| {
-            (0..block_count(self.points))
+            (0..self.blocks.count())
                 .all(|block| chunk.has(block) || self.wanted.as_ref().is_some_and(|wanted| !wanted[block]))
         };
         self.chunks.iter().any(|(have, chunk)| *have == slot && chunk.as_ref().is_none_or(is_there))
@@ -156,7 +155,7 @@ impl<'a> Part<'a> {
 
     /// Counts what would have been enough to read: of the chunks that were, so many blocks.
     pub(super) fn count_needed(&self, blocks: usize) {
-        let of = block_count(self.points).max(1) as u64;
+        let of = self.blocks.count().max(1) as u64;
         Meter::add(&self.plan.meter.bytes_needed, self.bytes_read() * blocks as u64 / of);
     }
 
@@ -180,19 +179,19 @@ impl<'a> Part<'a> {
 
     pub(super) fn positions(&self) -> Result<PositionChunk<'_>, QueryError> {
         let bytes = self.chunk(SLOT_POSITION).map_or(&[][..], |c| c);
-        PositionChunk::parse(bytes, self.head.cube, self.points).map_err(|e| self.damaged(SLOT_POSITION, &e))
+        PositionChunk::parse(bytes, self.head.cube, self.blocks).map_err(|e| self.damaged(SLOT_POSITION, &e))
     }
 
     /// `None` if no point of the part has the attribute.
     pub(super) fn column(&self, slot: Slot, ty: ScalarType) -> Result<Option<ColumnChunk<'_>>, QueryError> {
         let bytes_of = |slot| self.chunk(slot).map(|c| &c[..]);
-        let parse = |bytes| follow(&self.plan.snapshot, slot, ty, self.points, bytes, &bytes_of);
+        let parse = |bytes| follow(&self.plan.snapshot, slot, ty, self.blocks, bytes, &bytes_of);
         bytes_of(slot).map(parse).transpose().map_err(|e| self.damaged(slot, &e))
     }
 
     pub(super) fn scans(&self) -> Result<ColumnChunk<'_>, QueryError> {
         let bytes = self.chunk(SLOT_SCAN).map_or(&[][..], |c| c);
-        ColumnChunk::parse(bytes, ScalarType::U32, self.points).map_err(|e| self.damaged(SLOT_SCAN, &e))
+        ColumnChunk::parse(bytes, ScalarType::U32, self.blocks).map_err(|e| self.damaged(SLOT_SCAN, &e))
     }
 
     /// The blocks in which something matches (all that are not skipped, if misses are asked for), in order.
@@ -239,7 +238,7 @@ impl<'a> Part<'a> {
         if (look.skips)(bounds) {
             return Ok(None);
         }
-        let len = block_range(block, self.points).len();
+        let len = self.blocks.len_of(block);
         let placed = plan.classify(bounds);
         let mut content = Block::undecoded(len);
         let decode_positions = |decoder: &mut Decoder, out: &mut Arc<Positions>| {
@@ -334,7 +333,7 @@ impl<'a> Part<'a> {
         if let Some(CachedBlock::Positions(found)) = self.cached(SLOT_POSITION, block) {
             return Ok(found);
         }
-        let len = block_range(block, self.points).len();
+        let len = self.blocks.len_of(block);
         let mut positions = Positions::with_capacity(len);
         chunk.decode_block(decoder, block, &mut positions).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
         Meter::add(&self.plan.meter.blocks, 1);
@@ -360,7 +359,7 @@ impl<'a> Part<'a> {
         chunk: &ColumnChunk,
         block: usize,
     ) -> Result<Arc<Column>, QueryError> {
-        let mut column = Column::with_capacity(ty, block_range(block, self.points).len());
+        let mut column = Column::with_capacity(ty, self.blocks.len_of(block));
         chunk.decode_block(decoder, block, &mut column).map_err(|e| self.damaged(slot, &e))?;
         Meter::add(&self.plan.meter.blocks, 1);
         let column = Arc::new(column);

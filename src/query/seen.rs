@@ -200,8 +200,9 @@ fn matching(plan: &Plan, node: &Node, part: usize) -> Result<Matching, QueryErro
     let skips = |bounds: &LatticeBox| outside(plan)(&cells_of(bounds, cell));
     let look = Look { skips: &skips, misses: true, positions: true };
     let mut result = Matching { indices: Vec::new(), keys: Vec::new(), missed: Vec::new() };
-    for Found { block, content, mask } in Part::new(plan, node, part).find(&look)? {
-        let first = (block * crate::codec::BLOCK_POINTS) as u32;
+    let mut part = Part::new(plan, node, part);
+    for Found { block, content, mask } in part.find(&look)? {
+        let first = part.blocks.range(block).start as u32;
         for (i, point) in content.positions.iter().enumerate() {
             if mask.contains(i) {
                 result.indices.push(first + i as u32);

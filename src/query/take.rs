@@ -5,7 +5,7 @@ use super::answer::{Meter, Stage};
 use super::block::{Block, BlockScans};
 use super::mask::Mask;
 use super::part::{DECODER, Found, Look, Part};
-use crate::codec::{BLOCK_POINTS, ColumnChunk, Decoder, PositionChunk, block_count, block_range};
+use crate::codec::{ColumnChunk, Decoder, PositionChunk};
 use crate::points::{Batch, Column, Positions, ScalarType};
 use crate::store::model::{SLOT_POSITION, SLOT_SCAN, Slot, StoredAttribute};
 use std::sync::Arc;
@@ -22,7 +22,7 @@ impl Part<'_> {
         let plan = self.plan;
         let slots = plan.columns.iter().map(|c| c.id);
         self.read([SLOT_POSITION].into_iter().chain(plan.with_scans.then_some(SLOT_SCAN)).chain(slots))?;
-        self.count_needed(block_count(self.points));
+        self.count_needed(self.blocks.count());
         plan.meter.time(Stage::Decoding, || DECODER.with_borrow_mut(|decoder| self.whole_with(decoder)))
     }
 
@@ -31,33 +31,33 @@ impl Part<'_> {
         let mut batch = Batch::empty(plan.attributes.clone());
         let positions = self.positions()?;
         positions.decode(decoder, &mut batch.positions).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
-        let mut blocks = block_count(self.points) as u64;
+        let mut blocks = self.blocks.count() as u64;
         if plan.with_scans {
-            let mut scans = Column::with_capacity(ScalarType::U32, self.points);
+            let mut scans = Column::with_capacity(ScalarType::U32, self.blocks.points());
             self.scans()?.decode(decoder, &mut scans).map_err(|e| self.damaged(SLOT_SCAN, &e))?;
             if let Column::U32(scans) = scans {
                 batch.scans = scans;
             }
-            blocks += block_count(self.points) as u64;
+            blocks += self.blocks.count() as u64;
         }
         let mut chunks = Vec::with_capacity(plan.columns.len());
         for (asked, column) in plan.columns.iter().zip(&mut batch.columns) {
             match self.column(asked.id, asked.attribute.ty)? {
-                None => column.resize(self.points),
+                None => column.resize(self.blocks.points()),
                 Some(chunk) => {
                     chunks.push((asked.id, chunk.at(&positions), column));
-                    blocks += block_count(self.points) as u64;
+                    blocks += self.blocks.count() as u64;
                 }
             }
         }
         // Block by block, since columns that follow others find their blocks where they were just decoded.
-        for block in 0..block_count(self.points) {
+        for block in 0..self.blocks.count() {
             for (slot, chunk, column) in &mut chunks {
                 chunk.decode_block(decoder, block, column).map_err(|e| self.damaged(*slot, &e))?;
             }
         }
         Meter::add(&plan.meter.blocks, blocks);
-        Meter::add(&plan.meter.points_decoded, self.points as u64);
+        Meter::add(&plan.meter.points_decoded, self.blocks.points() as u64);
         Ok(batch)
     }
 
@@ -225,15 +225,16 @@ impl Part<'_> {
     /// The points at `indices`, ascending, or all, with the attributes asked for.
     pub fn gather(&mut self, indices: Option<&[u32]>) -> Result<Batch, QueryError> {
         if let Some(indices) = indices {
-            self.want(indices.iter().map(|&i| i as usize / BLOCK_POINTS));
+            let blocks = self.blocks;
+            self.want(indices.iter().map(|&i| blocks.of_point(i as usize)));
         }
         self.read([SLOT_POSITION])?;
         let found = self.plan.meter.time(Stage::Decoding, || {
             DECODER.with_borrow_mut(|decoder| {
                 let positions = self.positions()?;
                 let mut found = Vec::new();
-                for block in 0..block_count(self.points) {
-                    let range = block_range(block, self.points);
+                for block in 0..self.blocks.count() {
+                    let range = self.blocks.range(block);
                     let mask = match indices {
                         None => Mask::all(range.len()),
                         Some(indices) => {

@@ -251,9 +251,9 @@ impl ViewParts {
             Prospect::Some => {
                 let outside = |bounds: &LatticeBox| plan.region.classify(bounds) == Containment::Outside;
                 let found = read.find(&Look { skips: &outside, misses: false, positions: true })?;
-                let first = |block: usize| (block * crate::codec::BLOCK_POINTS) as u32;
+                let blocks = read.blocks;
                 let indices = |Found { block, mask, .. }: &Found| {
-                    let start = first(*block);
+                    let start = blocks.range(*block).start as u32;
                     mask.indices().into_iter().map(move |i| start + i)
                 };
                 let indices = found.iter().flat_map(indices).collect();

@@ -5,7 +5,7 @@ use super::error::{RowError, StoreError};
 use super::model::{NodeHead, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanId, Slot};
 use super::rows::RowName;
 use super::snapshot::{ChunkBytes, ReadCost, Snapshot};
-use crate::codec::{CodecError, ColumnChunk, Decoder, PositionChunk, block_count};
+use crate::codec::{Blocks, CodecError, ColumnChunk, Decoder, PositionChunk};
 use crate::lattice::{Key, LatticeBox};
 use crate::points::{Column, ScalarType};
 
@@ -36,9 +36,9 @@ pub fn decode_part_keys(
     let damage = |what: String| snapshot.place().error(RowName { head, part, slot: SLOT_POSITION }.damage(what));
     let bytes = snapshot.chunk_bytes(head, part, SLOT_POSITION, &mut ReadCost::default())?;
     let bytes = bytes.ok_or_else(|| damage("the part has no positions".into()))?;
-    let points = head.parts.get(part).map_or(0, |facts| facts.points as usize);
     let mut keys = Vec::new();
-    let decoded = PositionChunk::parse(&bytes, head.cube, points).and_then(|c| c.decode_keys(decoder, &mut keys));
+    let decoded =
+        PositionChunk::parse(&bytes, head.cube, head.blocks(part)).and_then(|c| c.decode_keys(decoder, &mut keys));
     decoded.map_err(|e| damage(e.to_string()))?;
     Ok(keys)
 }
@@ -52,17 +52,17 @@ pub fn follow<'a>(
     snapshot: &Snapshot,
     slot: Slot,
     ty: ScalarType,
-    points: usize,
+    blocks: Blocks,
     bytes: &'a [u8],
     bytes_of: &dyn Fn(Slot) -> Option<&'a [u8]>,
 ) -> Result<ColumnChunk<'a>, CodecError> {
-    let mut chunk = ColumnChunk::parse(bytes, ty, points)?;
+    let mut chunk = ColumnChunk::parse(bytes, ty, blocks)?;
     if snapshot.leads(slot) {
         chunk = chunk.leading();
     }
     for leader in snapshot.leaders(slot) {
         let Some(bytes) = bytes_of(leader) else { break };
-        chunk = chunk.after(follow(snapshot, leader, ty, points, bytes, bytes_of)?);
+        chunk = chunk.after(follow(snapshot, leader, ty, blocks, bytes, bytes_of)?);
     }
     Ok(chunk)
 }
@@ -81,7 +81,7 @@ pub fn decode_part(
     let error = |e: RowError| snapshot.place().error(e);
     let name = |slot| RowName { head, part, slot };
     let facts = head.parts.get(part).ok_or_else(|| error(name(SLOT_PACKED).damage("the node has no such part")))?;
-    let points = facts.points as usize;
+    let blocks = facts.blocks();
     let mut slots: Vec<Slot> = facts.chunks.iter().map(|c| c.0).chain(facts.packed.iter().map(|c| c.0)).collect();
     slots.sort_unstable();
     let bytes = snapshot.read_part(head, part, &slots, &mut ReadCost::default())?;
@@ -94,7 +94,7 @@ pub fn decode_part(
     };
     let positions = next(SLOT_POSITION)?;
     let mut keys: Vec<Key> = Vec::new();
-    let positions = PositionChunk::parse(&positions, head.cube, points)
+    let positions = PositionChunk::parse(&positions, head.cube, blocks)
         .and_then(|c| c.decode_keys(decoder, &mut keys).map(|()| c))
         .map_err(|e| error(name(SLOT_POSITION).damage(e.to_string())))?;
     let scan_bytes = next(SLOT_SCAN)?;
@@ -106,19 +106,19 @@ pub fn decode_part(
     }
     let of_slot = |slot: Slot| found.iter().find(|f| f.0 == slot).map(|f| &f.2[..]);
     let parse = |slot: Slot, ty: ScalarType, bytes| {
-        let chunk = follow(snapshot, slot, ty, points, bytes, &of_slot);
+        let chunk = follow(snapshot, slot, ty, blocks, bytes, &of_slot);
         chunk.map(|c| c.at(&positions)).map_err(|e| error(name(slot).damage(e.to_string())))
     };
-    let mut scans = Column::with_capacity(ScalarType::U32, points);
+    let mut scans = Column::with_capacity(ScalarType::U32, blocks.points());
     let chunk = parse(SLOT_SCAN, ScalarType::U32, &scan_bytes[..])?;
     chunk.decode(decoder, &mut scans).map_err(|e| error(name(SLOT_SCAN).damage(e.to_string())))?;
     let Column::U32(scans) = scans else {
         return Err(error(name(SLOT_SCAN).damage("are no scan ids")));
     };
     let chunks = found.iter().map(|(slot, ty, bytes)| parse(*slot, *ty, bytes)).collect::<Result<Vec<_>, _>>()?;
-    let mut columns: Vec<_> = found.iter().map(|f| (f.0, Column::with_capacity(f.1, points))).collect();
+    let mut columns: Vec<_> = found.iter().map(|f| (f.0, Column::with_capacity(f.1, blocks.points()))).collect();
     // Block by block, since columns that follow others find their blocks where they were just decoded.
-    for block in 0..block_count(points) {
+    for block in 0..blocks.count() {
         for (chunk, (slot, column)) in chunks.iter().zip(&mut columns) {
             chunk.decode_block(decoder, block, column).map_err(|e| error(name(*slot).damage(e.to_string())))?;
         }

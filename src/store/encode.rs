@@ -10,7 +10,7 @@ use super::rows::{ChunkRow, pack};
 use super::shape::Relative;
 use super::writer::ChunkIds;
 use super::zones::{merge_ranges, range_of_all, range_where};
-use crate::codec::{CodecError, Encoder, Passes};
+use crate::codec::{BlockSize, CodecError, Encoder, Passes};
 use crate::lattice::{Cube, LatticeBox, SortKey};
 use crate::octree::PartPlan;
 use crate::points::{Column, ScalarType};
@@ -135,6 +135,18 @@ pub struct NodeInput<'a, K> {
     pub plan: &'a [PartPlan],
     /// The attributes of each part's points, in the part's order.
     pub parts: &'a [PointColumns],
+    /// How the columns are cut: [`block_size`].
+    pub block_size: BlockSize,
+}
+
+/// Nodes over more points than this are cut finer.
+const COARSE_FROM_POINTS: u64 = 1 << 18;
+
+/// How the columns of a node are cut that has so many points stored in it or below. A region of the size that is asked for
+/// most has little of a coarse node, which lies over much more; what it reads there must not follow the size of the site.
+/// Finer blocks take more bytes: a tenth, if all were cut so.
+pub fn block_size(rem: u64) -> BlockSize {
+    if rem > COARSE_FROM_POINTS { BlockSize::FINE } else { BlockSize::LARGEST }
 }
 
 /// A node ready to be written; what it says of its subtree is of its own points only until [`super::merge_subtree`].
@@ -180,7 +192,7 @@ pub fn encode_node<K: SortKey>(
     ids: &ChunkIds,
     scratch: &mut EncodeScratch,
 ) -> Result<EncodedNode, CodecError> {
-    let NodeInput { layer, cube, leaf, children, keys, plan, parts } = *input;
+    let NodeInput { layer, cube, leaf, children, keys, plan, parts, block_size } = *input;
     assert!(plan.len() == parts.len(), "every part has its columns");
     let slices: Vec<_> = parts.iter().map(PointColumns::slices).collect();
     let Description { scans: counts, bounds, shape, zones } =
@@ -204,6 +216,7 @@ pub fn encode_node<K: SortKey>(
         parts: Vec::with_capacity(plan.len()),
     };
     let mut chunks = Vec::new();
+    scratch.encoder.cut_into(block_size);
     for (part, (plan, PointColumns { scans, columns })) in plan.iter().zip(parts).enumerate() {
         assert!(plan.points.len() == scans.len(), "a part's columns have its length");
         let mut pieces: Vec<(Slot, Vec<u8>)> = Vec::with_capacity(columns.len() + 2);
@@ -248,6 +261,7 @@ pub fn encode_node<K: SortKey>(
         }
         let facts = PartHead {
             points: plan.points.len() as u32,
+            block_size,
             first_step: plan.first_step,
             last_step: plan.last_step,
             chunks: Vec::new(),
@@ -307,8 +321,8 @@ pub(super) fn describe<K: SortKey>(
 /// Decides which columns of the part share a row, and makes the rows. `pieces` ascend by slot.
 fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chunks: &mut Vec<ChunkRow>) {
     let (layer, cube) = (head.layer, head.cube);
-    let points = head.parts[part].points;
-    let row = |id: i64, slot: Slot, bytes: Vec<u8>| ChunkRow::new(id, (layer, cube), part as u32, slot, points, bytes);
+    let blocks = head.blocks(part);
+    let row = |id: i64, slot: Slot, bytes: Vec<u8>| ChunkRow::new(id, (layer, cube), part as u32, slot, blocks, bytes);
     let mut small = Vec::new();
     for (slot, bytes) in pieces {
         if bytes.len() < PACKED_BELOW_BYTES {

@@ -3,6 +3,7 @@
 use super::files::{wal, wal_bytes};
 use super::testing::{elsewhere, folder, options, prepare, replace, some_points, verified};
 use super::*;
+use crate::codec::{BlockSize, Blocks};
 use rusqlite::Connection;
 use std::path::Path;
 use std::time::Duration;
@@ -81,7 +82,8 @@ fn a_log_is_applied_to_its_own_file_in_its_own_state_and_to_no_other() {
     let rows = |writer: &mut Writer| {
         for part in 0..40 {
             let id = writer.chunk_ids().reserve(1);
-            let row = ChunkRow::new(id, (0, elsewhere()), part, 0, 1, vec![7; 1 << 19]);
+            let row =
+                ChunkRow::new(id, (0, elsewhere()), part, 0, Blocks::new(1, BlockSize::LARGEST), vec![7; 1 << 19]);
             writer.put_chunks(&[row]).unwrap();
         }
     };

@@ -50,7 +50,9 @@ pub use describe::{
     AttributeCost, CrsDescription, Description, RejectedDescription, ScanDescription, WorldBounds, describe,
 };
 pub use digest::{Digest, Digester, digest};
-pub use encode::{EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, encode_node};
+pub use encode::{
+    EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, block_size, encode_node,
+};
 pub use error::StoreError;
 pub(crate) use files::followed;
 pub use files::{SPILL_SUFFIX, spill_path};

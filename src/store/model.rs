@@ -1,5 +1,6 @@
 //! What the store's rows say, as checked types. How they are written as bytes is `rows`' business.
 
+use crate::codec::{BlockSize, Blocks};
 use crate::lattice::{Cube, Exactness, Lattice, LatticeBox};
 pub use crate::octree::Step;
 use crate::points::{Attribute, Crs, LasFacts};
@@ -25,8 +26,6 @@ pub const SLOT_STRIDE: i64 = 1 << 16;
 pub const FORMAT_G: u8 = 7;
 /// A node with at most this many remaining points is a leaf: fixed by format version 1 (tests may use other values).
 pub const FORMAT_LEAF_CAPACITY: u32 = 32_768;
-/// Points of a block: the unit of decoding.
-pub const BLOCK_POINTS: usize = 4096;
 
 /// The one row of `site`.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,6 +119,8 @@ pub struct StoredAttribute {
 pub struct PartHead {
     /// Points of the part.
     pub points: u32,
+    /// How its columns are cut.
+    pub block_size: BlockSize,
     /// The step of the part's first points in the order of detail: the coarsest.
     pub first_step: Step,
     /// The last step that is complete once this part and all before it are taken; `None` if none is.
@@ -130,6 +131,13 @@ pub struct PartHead {
     pub packed: Vec<(Slot, u32)>,
     /// Length of the packed row; 0 if there is none.
     pub packed_bytes: u32,
+}
+
+impl PartHead {
+    /// The blocks of its columns.
+    pub fn blocks(&self) -> Blocks {
+        Blocks::new(self.points as usize, self.block_size)
+    }
 }
 
 /// Points of one scan in a node and in its subtree.
@@ -207,6 +215,11 @@ impl NodeHead {
             chunk_base: 0,
             parts: Vec::new(),
         }
+    }
+
+    /// The blocks of a part's columns; none if there is no such part.
+    pub fn blocks(&self, part: usize) -> Blocks {
+        self.parts.get(part).map(PartHead::blocks).unwrap_or_default()
     }
 
     /// The ids of the node's chunk rows lie in this range.

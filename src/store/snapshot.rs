@@ -9,7 +9,6 @@ use super::model::{NodeHead, SLOT_PACKED, Scan, ScanId, Site, Slot, StoredAttrib
 use super::nodes::{Nodes, Pages};
 use super::place::{Limits, Place, lock};
 use super::rows::{self, ReadChunk, RowName, SiteRow};
-use crate::codec::BLOCK_POINTS;
 use rusqlite::Connection;
 use std::ops::{AddAssign, Deref, Range};
 use std::sync::{Arc, OnceLock};
@@ -228,7 +227,7 @@ impl Snapshot {
         let place = &*self.inner.place;
         let caches = place.caches();
         // What is kept may be asked for other blocks next time.
-        let is_cut = !caches.keeps_rows() && head.parts.get(part).is_some_and(|p| p.points as usize > BLOCK_POINTS);
+        let is_cut = !caches.keeps_rows() && head.blocks(part).count() > 1;
         let mut row = |slot: Slot, bytes: u32| {
             let name = RowName { head, part, slot };
             let id = head.chunk_id(part, slot);

@@ -3,7 +3,7 @@
 use super::decode::decode_part;
 use super::model::{Rejected, Scan, Slot};
 use super::*;
-use crate::codec::Decoder;
+use crate::codec::{BlockSize, Decoder};
 use crate::lattice::{BIAS, Cube, Exactness, Key, Lattice, LatticeBox, LatticePoint};
 use crate::octree::{self, Params, assemble};
 use crate::points::{Attribute, Column, ScalarType};
@@ -149,6 +149,7 @@ pub fn prepare(writer: &mut Writer, mut points: Vec<Point>, before: &[Scan]) -> 
                 keys: &keys,
                 plan: &plan,
                 parts: &columns.cut(&plan),
+                block_size: BlockSize::of_exponent(4 + node.cube.k() % 9).unwrap(),
             };
             let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
             writer.put_chunks(&chunks).unwrap();

@@ -3,6 +3,7 @@
 use super::files::{beside, journal, wal, wal_bytes};
 use super::testing::{content, elsewhere, folder, options, points, prepare, replace, some_points, sorted, verified};
 use super::*;
+use crate::codec::{BlockSize, Blocks};
 use proptest::prelude::*;
 use rusqlite::Connection;
 use std::path::Path;
@@ -109,7 +110,7 @@ fn the_log_stays_bounded_under_a_reader() {
     for part in 0..480_u32 {
         let bytes = vec![part as u8; 1 << 20];
         let id = base + i64::from(part) * model::SLOT_STRIDE;
-        writer.put_chunks(&[ChunkRow::new(id, (0, cube), part, 0, 1, bytes)]).unwrap();
+        writer.put_chunks(&[ChunkRow::new(id, (0, cube), part, 0, Blocks::new(1, BlockSize::LARGEST), bytes)]).unwrap();
         largest = largest.max(wal_bytes(&path));
     }
     // 480 MiB were written.
@@ -346,7 +347,14 @@ fn a_transaction_that_is_larger_than_the_cache_is_in_nobodys_way() {
     writer.expect_many().unwrap();
     // A byte less than ends it. Pages that left the cache before that would lock readers out until the end.
     let row = |bytes: usize, writer: &Writer| {
-        ChunkRow::new(writer.chunk_ids().reserve(1), (0, elsewhere()), 0, 0, 1, vec![7; bytes])
+        ChunkRow::new(
+            writer.chunk_ids().reserve(1),
+            (0, elsewhere()),
+            0,
+            0,
+            Blocks::new(1, BlockSize::LARGEST),
+            vec![7; bytes],
+        )
     };
     for i in 0..16 {
         let row = row((1 << 20) - usize::from(i == 0), &writer);
@@ -412,7 +420,9 @@ fn who_waits_for_a_reader_ends_when_told_and_the_store_is_as_it_was() {
         } else {
             let base = writer.chunk_ids().reserve(1);
             let cube = crate::lattice::Cube::containing(crate::lattice::LatticePoint::default(), 9);
-            let row = |part: i64| ChunkRow::new(base + part, (0, cube), 0, 0, 1, vec![0; 9 << 20]);
+            let row = |part: i64| {
+                ChunkRow::new(base + part, (0, cube), 0, 0, Blocks::new(1, BlockSize::LARGEST), vec![0; 9 << 20])
+            };
             writer.put_chunks_unless(&[row(0), row(1), row(2)], &stop).unwrap_err()
         };
         assert!(matches!(error, StoreError::Busy { .. }), "{error:?}");
@@ -541,7 +551,14 @@ fn a_full_disk_leaves_the_store_as_it_was() {
         let mut writer = store.writer().unwrap();
         let change = prepare(&mut writer, some_points(if at_flip { 900 } else { 0 }), before.scans());
         writer.limit_pages(before.with(|c| Ok(c.query_row("PRAGMA page_count", [], |r| r.get(0))?)).unwrap());
-        let row = ChunkRow::new(writer.chunk_ids().reserve(1), (0, elsewhere()), 0, 0, 1, vec![7; 1 << 20]);
+        let row = ChunkRow::new(
+            writer.chunk_ids().reserve(1),
+            (0, elsewhere()),
+            0,
+            0,
+            Blocks::new(1, BlockSize::LARGEST),
+            vec![7; 1 << 20],
+        );
         let error = if at_flip { writer.commit(change).unwrap_err() } else { writer.put_chunks(&[row]).unwrap_err() };
         assert!(matches!(error, StoreError::Full { .. }), "{error}");
         if !at_flip {

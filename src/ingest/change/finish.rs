@@ -7,9 +7,9 @@ use super::nodes::{Change, Own, Stored};
 use super::pool::Pool;
 use super::{Ground, Point};
 use crate::lattice::{Cube, Key, LOW_DIGITS, NodeKey};
-use crate::octree::{self, Nodes, Tree, TreePoint, wins};
+use crate::octree::{self, Nodes, Row, Tree, TreePoint, wins};
 use crate::store::model::{NodeHead, Zones};
-use crate::store::{ChunkIds, EncodeScratch, NodeInput, Summary, Writer, encode_node, merge_subtree};
+use crate::store::{ChunkIds, EncodeScratch, NodeInput, Summary, Writer, block_size, encode_node, merge_subtree};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -112,7 +112,7 @@ impl<'a> Job<'_, 'a> {
         let own = || match self.nodes.written(cube) {
             Some(points) if !points.is_empty() => {
                 if !self.is_unchanged(cube, row.leaf, &points)? {
-                    self.encode(cube, row.leaf, children, &points, above)?;
+                    self.encode(cube, &row, children, &points, above)?;
                 }
                 self.nodes.advance(points.len());
                 Ok(())
@@ -151,7 +151,7 @@ impl<'a> Job<'_, 'a> {
     fn encode(
         &self,
         cube: Cube,
-        leaf: bool,
+        &Row { leaf, rem, .. }: &Row,
         children: u8,
         points: &Arc<Vec<Point<'a>>>,
         above: &[Key],
@@ -166,14 +166,14 @@ impl<'a> Job<'_, 'a> {
         let scattered = Scattered::new(points);
         let scan = |point: &Point<'_>| self.ground.scans.id(point.place());
         let parts: Vec<_> = plan.iter().map(|part| scattered.columns(&part.points, scan)).collect();
-        let (layer, plan, parts) = (self.nodes.layer, &plan[..], &parts[..]);
+        let (layer, plan, parts, block_size) = (self.nodes.layer, &plan[..], &parts[..], block_size(rem));
         let encoded = self.scratches.lend(|scratch| {
             if cube.k() <= LOW_DIGITS {
                 let keys: Vec<u64> = keys.iter().map(|key| key.low).collect();
-                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
+                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts, block_size };
                 encode_node(&input, self.ground.table, self.ids, scratch)
             } else {
-                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts };
+                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts, block_size };
                 encode_node(&input, self.ground.table, self.ids, scratch)
             }
         });

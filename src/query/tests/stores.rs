@@ -1,5 +1,6 @@
 //! Stores built from the naive tree, and points that know who they are.
 
+use crate::codec::BlockSize;
 use crate::lattice::{BIAS, Cube, Exactness, Key, Lattice, LatticeBox, LatticePoint};
 use crate::octree::{Params, naive, split, steps, wins};
 use crate::points::{Attribute, Column, ScalarType};
@@ -148,9 +149,11 @@ fn fill(store: &Store, layers: &[Vec<Point>], params: Params, hidden: Option<Sca
                 ],
             };
             let layer = layer as u16;
+            // Of all sizes, so that small nodes have several.
+            let block_size = BlockSize::of_exponent(4 + cube.k().wrapping_add(own.len() as u8) % 9).unwrap();
             let plan = split(&wins, &steps(&keys, &wins));
             let parts = columns.cut(&plan);
-            let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, parts: &parts };
+            let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, parts: &parts, block_size };
             let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
             summaries.insert(cube, merge_subtree(&mut head, &mut zones, &below));
             writer.put_chunks(&chunks).unwrap();

@@ -6,7 +6,7 @@ use super::super::model::{NodeHead, SLOT_PACKED, SLOT_POSITION, Slot};
 use super::node::node_name;
 use super::pieces::Pieces;
 use super::{Columns, Put, Sql, Take, Taken, checked};
-use crate::codec::{self, BLOCK_POINTS, Cut};
+use crate::codec::{self, Blocks, Cut};
 use crate::lattice::Cube;
 use rusqlite::blob::Blob;
 use rusqlite::{Connection, MAIN_DB, params_from_iter};
@@ -36,9 +36,11 @@ pub struct ChunkRow {
 }
 
 impl ChunkRow {
-    /// Of these bytes, which are cut into pieces where their head says that blocks lie.
-    pub fn new(id: i64, (layer, cube): (u16, Cube), part: u32, slot: Slot, points: u32, bytes: Vec<u8>) -> Self {
-        let pieces = Pieces::of(&bytes, cuts_of(slot, cube, points, &bytes)).to_bytes();
+    /// Of these bytes, which are cut into pieces where their head says that the part's blocks lie.
+    pub fn new(id: i64, (layer, cube): (u16, Cube), part: u32, slot: Slot, blocks: Blocks, bytes: Vec<u8>) -> Self {
+        let pieces = Pieces::of(&bytes, cuts_of(slot, cube, blocks, &bytes)).to_bytes();
+        // A part has at most 2^24 points.
+        let points = blocks.points() as u32;
         Self { id, layer, cube, part, slot, points, bytes, pieces }
     }
 
@@ -52,16 +54,16 @@ impl ChunkRow {
 const CUT_FROM_BYTES: usize = 1024;
 
 /// Where the bytes of a row are cut into pieces.
-fn cuts_of(slot: Slot, cube: Cube, points: u32, bytes: &[u8]) -> Vec<Cut> {
+fn cuts_of(slot: Slot, cube: Cube, blocks: Blocks, bytes: &[u8]) -> Vec<Cut> {
     let mut cuts = Vec::new();
-    if points as usize > BLOCK_POINTS {
+    if blocks.count() > 1 {
         let columns = match slot {
             SLOT_PACKED => unpack(bytes).unwrap_or_default(),
             slot => vec![(slot, 0..bytes.len())],
         };
         for (slot, range) in columns.into_iter().filter(|(_, range)| range.len() >= CUT_FROM_BYTES) {
             let cube = (slot == SLOT_POSITION).then_some(cube);
-            let of_column = codec::cuts(&bytes[range.clone()], cube, points as usize).unwrap_or_default();
+            let of_column = codec::cuts(&bytes[range.clone()], cube, blocks).unwrap_or_default();
             cuts.push(Cut { end: range.start, block: None });
             cuts.extend(of_column.into_iter().map(|cut| Cut { end: range.start + cut.end, ..cut }));
         }
@@ -148,7 +150,7 @@ pub(in crate::store) fn read_chunk(
     let pieces = name.pieces(&columns, bytes.len() as u64, expected_bytes)?;
     (0..pieces.len()).try_for_each(|piece| name.check(&pieces, piece, &bytes[pieces.range(piece)]))?;
     name.check_codec(&columns, bytes)?;
-    if !pieces.are_cut(cuts_of(name.slot, name.head.cube, columns.int(5)?, bytes)) {
+    if !pieces.are_cut(cuts_of(name.slot, name.head.cube, name.head.blocks(name.part), bytes)) {
         return Err(name.damage("its pieces are not its blocks"));
     }
     Ok(ReadChunk { bytes: bytes.to_vec(), blocks: None, read: bytes.len() })
@@ -216,13 +218,12 @@ impl RowName<'_> {
         expected_bytes: u32,
     ) -> Result<Pieces, RowError> {
         let head = self.head;
-        let points = head.parts.get(self.part).map_or(0, |p| p.points);
         let same = columns.int::<i64>(0)? == self.id()
             && columns.int::<i64>(1)? == i64::from(head.layer)
             && columns.blob(2)? == head.cube.node_key().0
             && columns.int::<i64>(3)? == self.part as i64
             && columns.int::<i64>(4)? == i64::from(self.slot)
-            && columns.int::<i64>(5)? == i64::from(points);
+            && columns.int::<i64>(5)? == head.blocks(self.part).points() as i64;
         if !same {
             return Err(self.damage("the row is whole but belongs elsewhere"));
         }

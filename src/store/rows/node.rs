@@ -3,6 +3,7 @@
 use super::super::error::RowError;
 use super::super::model::{NodeHead, PartHead, ScanCount, Shape, Slot, Step};
 use super::{Columns, Put, Sql, Take, Taken, checked, put_row};
+use crate::codec::BlockSize;
 use crate::lattice::{Cube, NodeKey};
 use rusqlite::{Connection, Row};
 
@@ -135,6 +136,7 @@ fn put_head(put: &mut Put, head: &NodeHead) {
     put.varint(head.parts.len() as u64);
     for part in &head.parts {
         put.varint(part.points.into());
+        put.u8(part.block_size.exponent());
         put_step(put, Some(part.first_step));
         put_step(put, part.last_step);
         put.varint(part.chunks.len() as u64);
@@ -192,7 +194,7 @@ fn take_head(take: &mut Take<'_>, layer: u16, cube: Cube) -> Taken<NodeHead> {
         shape.color = Some([take.u16()?, take.u16()?, take.u16()?]);
     }
     let chunk_base = take.u64()? as i64;
-    let n = take.count(7)?;
+    let n = take.count(8)?;
     let mut parts = Vec::with_capacity(n);
     for _ in 0..n {
         parts.push(take_part(take)?);
@@ -216,6 +218,8 @@ fn take_head(take: &mut Take<'_>, layer: u16, cube: Cube) -> Taken<NodeHead> {
 
 fn take_part(take: &mut Take<'_>) -> Taken<PartHead> {
     let points = take.small()?;
+    let exponent = take.u8()?;
+    let block_size = BlockSize::of_exponent(exponent).ok_or_else(|| format!("no blocks have 2^{exponent} points"))?;
     let first_step = take_step(take)?.ok_or("a part has no first step")?;
     let last_step = take_step(take)?;
     let n = take.count(2)?;
@@ -231,5 +235,5 @@ fn take_part(take: &mut Take<'_>) -> Taken<PartHead> {
     if !chunks.is_sorted_by(|a, b| a.0 < b.0) || !packed.is_sorted_by(|a, b| a.0 < b.0) {
         return Err("a part's columns are not ascending".into());
     }
-    Ok(PartHead { points, first_step, last_step, chunks, packed, packed_bytes: take.small()? })
+    Ok(PartHead { points, block_size, first_step, last_step, chunks, packed, packed_bytes: take.small()? })
 }

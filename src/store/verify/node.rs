@@ -7,7 +7,7 @@ use super::super::rows;
 use super::super::shape::Relative;
 use super::super::snapshot::Snapshot;
 use super::{Finding, finding};
-use crate::codec::{BLOCK_POINTS, Decoder};
+use crate::codec::{BlockSize, Decoder};
 use crate::lattice::{Cube, Key, LOW_DIGITS, LatticeBox, LatticePoint, SortKey};
 use crate::octree::Params;
 use std::collections::BTreeMap;
@@ -62,7 +62,7 @@ impl<'a> Checker<'a> {
         }
         for (i, part) in parts.iter().enumerate() {
             fill_points(head.cube, &part.keys, &mut scratch.points);
-            let found = self.check_part(head, part, &scratch.points);
+            let found = self.check_part(head, (part, head.parts[i].block_size), &scratch.points);
             tally.findings.extend(found.map(|what| wrong("chunk", format!("part {i}: {what}"))));
             count(part, &scratch.points, &mut tally.scans);
         }
@@ -79,14 +79,19 @@ impl<'a> Checker<'a> {
     }
 
     /// Order, containment, blocks, and which columns there are.
-    fn check_part(&self, head: &NodeHead, part: &DecodedPart, points: &[LatticePoint]) -> Option<String> {
+    fn check_part(
+        &self,
+        head: &NodeHead,
+        (part, size): (&DecodedPart, BlockSize),
+        points: &[LatticePoint],
+    ) -> Option<String> {
         if !part.keys.is_sorted() {
             return Some("the points are not in key order".into());
         }
         if !inside(head.cube, &part.keys) {
             return Some("a point is outside of the node's cube".into());
         }
-        if !points.chunks(BLOCK_POINTS).map(bounds).eq(part.blocks.iter().map(|b| Some(*b))) {
+        if !points.chunks(size.points()).map(bounds).eq(part.blocks.iter().map(|b| Some(*b))) {
             return Some("the bounds of a block are not those of its points".into());
         }
         let present = runs(&part.scans);

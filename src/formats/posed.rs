@@ -60,6 +60,10 @@ impl PointSource for Posed {
         self.info.warnings.push(warning);
     }
 
+    fn found_while_reading(&self) -> Option<String> {
+        self.source.found_while_reading()
+    }
+
     fn pieces(&self, target_records: u64) -> Vec<Piece> {
         self.source.pieces(target_records)
     }

@@ -90,6 +90,11 @@ pub trait PointSource: Send + Sync {
     /// Adds to what a user should know.
     fn warn(&mut self, warning: String);
 
+    /// What a user should know and is not known before all is read.
+    fn found_while_reading(&self) -> Option<String> {
+        None
+    }
+
     /// Pieces of about `target_records` each, in order, that together are all records. One piece if the format allows
     /// no more.
     fn pieces(&self, target_records: u64) -> Vec<Piece>;

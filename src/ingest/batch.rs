@@ -250,6 +250,7 @@ fn color_depth(attributes: &[Attribute], bits: u16, is_8_bit: bool) -> Option<u8
 
 fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
     let mut warnings = source.warnings.clone();
+    warnings.extend(source.reader.found_while_reading());
     if tally.rejected.out_of_range > 0 {
         warnings.push(format!(
             "outside the lattice, where a store with a coarser --quantum has room: {} of the points",

@@ -1,4 +1,4 @@
-//! Text records of a PLY file: words separated by white space, whatever the lines.
+//! Text records of a PLY file: words separated by white space, and the lines that they are on.
 
 use crate::formats::FormatError;
 use crate::formats::file::SourceFile;
@@ -20,42 +20,76 @@ pub struct Words<'a> {
     at: usize,
     /// Byte of the file at the start of the buffer.
     base: u64,
+    /// Is there a line's end, or the beginning, between the last word and what comes next?
+    begins_line: bool,
+    /// Words so far that begin a line.
+    lines: u64,
 }
 
 impl<'a> Words<'a> {
-    /// From byte `offset` of `file` on.
+    /// From byte `offset` of `file` on, where a line begins.
     pub fn new(file: &'a SourceFile, offset: u64) -> Self {
         let room = usize::try_from(file.bytes()).unwrap_or(usize::MAX).min(BUFFER_BYTES);
-        Self { file, buffer: vec![0; room.max(LONGEST_WORD + 1)], filled: 0, at: 0, base: offset }
+        Self {
+            file,
+            buffer: vec![0; room.max(LONGEST_WORD + 1)],
+            filled: 0,
+            at: 0,
+            base: offset,
+            begins_line: true,
+            lines: 0,
+        }
+    }
+
+    /// How many of the words so far begin a line.
+    pub fn lines(&self) -> u64 {
+        self.lines
+    }
+
+    /// Where the next word begins, and if it begins a line; `None` at the end of the file.
+    pub fn peek(&mut self) -> Result<Option<(u64, bool)>, FormatError> {
+        Ok(self.reach()?.then(|| (self.base + self.at as u64, self.begins_line)))
+    }
+
+    /// Passes over white space; false at the end of the file.
+    fn reach(&mut self) -> Result<bool, FormatError> {
+        loop {
+            let rest = &self.buffer[self.at..self.filled];
+            let skip = rest.iter().position(|b| !b.is_ascii_whitespace());
+            let space = &rest[..skip.unwrap_or(rest.len())];
+            self.begins_line |= space.iter().any(|b| matches!(b, b'\n' | b'\r'));
+            self.at += space.len();
+            if skip.is_some() {
+                return Ok(true);
+            }
+            if !self.refill()? {
+                return Ok(false);
+            }
+        }
     }
 
     /// The next word and the byte where it begins; `None` at the end of the file.
     pub fn next(&mut self) -> Result<Option<(&[u8], u64)>, FormatError> {
-        loop {
-            let rest = &self.buffer[self.at..self.filled];
-            let Some(skip) = rest.iter().position(|b| !b.is_ascii_whitespace()) else {
-                self.at = self.filled;
-                if !self.refill()? {
-                    return Ok(None);
-                }
-                continue;
-            };
-            self.at += skip;
-            let word = &rest[skip..];
-            let offset = self.base + self.at as u64;
-            let length = match word.iter().position(u8::is_ascii_whitespace) {
-                Some(length) => length,
+        if !self.reach()? {
+            return Ok(None);
+        }
+        let length = loop {
+            let word = &self.buffer[self.at..self.filled];
+            match word.iter().position(u8::is_ascii_whitespace) {
+                Some(length) => break length,
                 None if word.len() > LONGEST_WORD => {
+                    let offset = self.base + self.at as u64;
                     return Err(self.file.malformed_line(offset, "a number", quoted(&word[..20])));
                 }
                 // The word may go on beyond the buffer.
-                None if self.refill()? => continue,
-                None => self.filled - self.at,
-            };
-            let start = self.at;
-            self.at += length;
-            return Ok(Some((&self.buffer[start..self.at], offset)));
-        }
+                None if self.refill()? => {}
+                None => break self.filled - self.at,
+            }
+        };
+        let (start, offset) = (self.at, self.base + self.at as u64);
+        self.at += length;
+        self.lines += u64::from(std::mem::take(&mut self.begins_line));
+        Ok(Some((&self.buffer[start..self.at], offset)))
     }
 
     /// Moves what is left to the front and reads on; false if there is no more.

@@ -4,6 +4,7 @@ mod ascii;
 mod binary;
 mod header;
 mod layout;
+mod lines;
 mod source;
 #[cfg(test)]
 mod tests;

@@ -4,9 +4,11 @@ use super::ascii::Words;
 use super::binary::{Conversion, Stop, Values, to_f64};
 use super::header::{Element, Encoding, Header, Kind};
 use super::layout::{Target, record_layout};
+use super::lines::{TextLines, skip_text};
 use crate::formats::file::SourceFile;
 use crate::formats::las::even_pieces;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
+use std::sync::OnceLock;
 
 /// Bytes given to a sink at a time.
 const RUN_BYTES: usize = 1 << 20;
@@ -20,6 +22,8 @@ pub struct PlySource {
     vertex: usize,
     targets: Vec<Target>,
     records: Records,
+    /// Where there is more, in a text, than the header announces: found when it is read.
+    beyond: OnceLock<u64>,
 }
 
 /// How the vertices are read.
@@ -29,7 +33,7 @@ enum Records {
     /// Binary with lists, from this byte on: one after the other.
     Varying(u64),
     /// Text, from the start of the data on.
-    Text,
+    Text(TextLines),
 }
 
 impl PlySource {
@@ -54,7 +58,11 @@ impl PlySource {
         let (records, found) = if header.encoding == Encoding::Ascii {
             // The least text that a vertex takes: a digit and a separator per value, the last one without.
             let text = file.bytes().saturating_sub(header.data_offset) + 1;
-            (Records::Text, element.count.min(text / (2 * element.properties.len() as u64)))
+            let lines = TextLines::of(&file, &header, vertex)?;
+            if lines == TextLines::Any {
+                warnings.push("the vertices are not one a line: they are read word by word, whatever the lines".into());
+            }
+            (Records::Text(lines), element.count.min(text / (2 * element.properties.len() as u64)))
         } else {
             let start = vertices_start(&file, &header, vertex)?;
             let room = file.bytes().saturating_sub(start);
@@ -76,7 +84,7 @@ impl PlySource {
             warnings.push(format!("the header announces {} vertices, the file holds at most {found}", element.count));
         }
         let info = SourceInfo { warnings, ..SourceInfo::new(file.path(), "ply", found, element.count - found, layout) };
-        Ok(Self { file, info, header, vertex, targets, records })
+        Ok(Self { file, info, header, vertex, targets, records, beyond: OnceLock::new() })
     }
 
     fn element(&self) -> &Element {
@@ -142,32 +150,95 @@ impl PlySource {
         Ok(())
     }
 
-    fn read_text(&self, piece: Piece, sink: &mut dyn FnMut(&[u8]) -> bool) -> Result<Tally, FormatError> {
+    fn read_text(
+        &self,
+        lines: TextLines,
+        piece: Piece,
+        sink: &mut dyn FnMut(&[u8]) -> bool,
+    ) -> Result<Tally, FormatError> {
         let mut words = Words::new(&self.file, self.header.data_offset);
         for element in &self.header.elements[..self.vertex] {
             if !skip_text(&mut words, element)? {
                 return Ok(Tally { read: 0, truncated: piece.records });
             }
         }
-        self.one_by_one(piece, sink, |record| {
-            for (property, &target) in self.element().properties.iter().zip(&self.targets) {
-                let there = match (property.kind, target) {
-                    (Kind::List { .. }, _) => words.skip_list()?,
-                    (Kind::Scalar(ty), Target::Axis(_)) => {
-                        let value = words.coordinate(ty)?;
-                        value.inspect(|v| put(record, target, 8, [0; 8], || *v)).is_some()
-                    }
-                    (Kind::Scalar(ty), _) => {
-                        let value = words.scalar(ty)?;
-                        value.inspect(|raw| put(record, target, ty.size(), *raw, || 0.0)).is_some()
-                    }
-                };
-                if !there {
-                    return Ok(false);
-                }
+        let start = words.peek()?.map_or(self.file.bytes(), |(at, _)| at);
+        let tally = self.one_by_one(piece, sink, |record| {
+            let Some((at, begins_line)) = words.peek()? else { return Ok(false) };
+            let before = words.lines();
+            if !self.read_text_record(&mut words, record)? {
+                return Ok(false);
+            }
+            if lines == TextLines::OnePerVertex && !(begins_line && words.lines() == before + 1) {
+                return Err(self.not_a_line(at, begins_line));
             }
             Ok(true)
-        })
+        })?;
+        let is_short = tally.truncated > 0 || self.info.missing > 0;
+        let is_to_its_end = piece.first + tally.read == self.info.records && tally.truncated == 0;
+        match lines {
+            TextLines::OnePerVertex if is_to_its_end => self.check_last_line(&mut words)?,
+            // A value too many or too few would have shifted all that came after it.
+            TextLines::Any if is_short || is_to_its_end && !self.is_read_up(&mut words)? => {
+                let expected = "one vertex a line, or just as many values as the header announces";
+                return Err(self.file.malformed_line(start, expected, if is_short { "fewer" } else { "others" }));
+            }
+            _ => {}
+        }
+        Ok(tally)
+    }
+
+    /// Reads one vertex; false if the file ends before.
+    fn read_text_record(&self, words: &mut Words<'_>, record: &mut [u8]) -> Result<bool, FormatError> {
+        for (property, &target) in self.element().properties.iter().zip(&self.targets) {
+            let there = match (property.kind, target) {
+                (Kind::List { .. }, _) => words.skip_list()?,
+                (Kind::Scalar(ty), Target::Axis(_)) => {
+                    let value = words.coordinate(ty)?;
+                    value.inspect(|v| put(record, target, 8, [0; 8], || *v)).is_some()
+                }
+                (Kind::Scalar(ty), _) => {
+                    let value = words.scalar(ty)?;
+                    value.inspect(|raw| put(record, target, ty.size(), *raw, || 0.0)).is_some()
+                }
+            };
+            if !there {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// The line that holds byte `at` has too many values or too few for a vertex.
+    fn not_a_line(&self, at: u64, begins_line: bool) -> FormatError {
+        let expected = "one vertex a line, with the values that the header names";
+        self.file.malformed_line(at, expected, if begins_line { "fewer values" } else { "more values" })
+    }
+
+    /// After the last vertex: its line has ended, and so has the file unless other elements follow.
+    fn check_last_line(&self, words: &mut Words<'_>) -> Result<(), FormatError> {
+        match words.peek()? {
+            Some((at, false)) => Err(self.not_a_line(at, false)),
+            Some((at, true)) if self.info.missing == 0 && self.elements_after().next().is_none() => {
+                let _ = self.beyond.set(at);
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// After the last vertex: does the file hold what it announces, and nothing more?
+    fn is_read_up(&self, words: &mut Words<'_>) -> Result<bool, FormatError> {
+        for element in self.elements_after() {
+            if !skip_text(words, element)? {
+                return Ok(false);
+            }
+        }
+        Ok(words.peek()?.is_none())
+    }
+
+    fn elements_after(&self) -> impl Iterator<Item = &Element> {
+        self.header.elements[self.vertex + 1..].iter().filter(|e| e.count > 0 && !e.properties.is_empty())
     }
 
     /// Reads records from the first on and gives those of the piece to `sink`; `next` fills one, or says that there are no
@@ -215,10 +286,15 @@ impl PointSource for PlySource {
         self.info.warnings.push(warning);
     }
 
+    fn found_while_reading(&self) -> Option<String> {
+        let line = self.file.line_at(*self.beyond.get()?).ok()?;
+        Some(format!("line {line} and what follows are more than the header announces, and are not kept"))
+    }
+
     fn pieces(&self, target_records: u64) -> Vec<Piece> {
         let target = match self.records {
             Records::Fixed(..) => target_records,
-            Records::Varying(_) | Records::Text => u64::MAX,
+            Records::Varying(_) | Records::Text(_) => u64::MAX,
         };
         even_pieces(self.info.records, target)
     }
@@ -232,7 +308,7 @@ impl PointSource for PlySource {
         match &self.records {
             Records::Fixed(start, conversion) => self.read_fixed(*start, conversion, piece, sink),
             Records::Varying(start) => self.read_varying(*start, piece, sink),
-            Records::Text => self.read_text(piece, sink),
+            Records::Text(lines) => self.read_text(*lines, piece, sink),
         }
     }
 }
@@ -273,25 +349,6 @@ fn refused(file: &SourceFile, stop: Stop) -> FormatError {
         Stop::NegativeCount(at) => file.malformed(at, "a list with a count", "a negative count"),
         Stop::End => file.malformed(file.bytes(), "more values", "the end of the file"),
     }
-}
-
-/// Passes over an element in text; false if the file ends before.
-fn skip_text(words: &mut Words<'_>, element: &Element) -> Result<bool, FormatError> {
-    if element.properties.is_empty() {
-        return Ok(true);
-    }
-    for _ in 0..element.count {
-        for property in &element.properties {
-            let there = match property.kind {
-                Kind::Scalar(_) => words.skip(1)?,
-                Kind::List { .. } => words.skip_list()?,
-            };
-            if !there {
-                return Ok(false);
-            }
-        }
-    }
-    Ok(true)
 }
 
 /// A word for everything in the file that does not become points.

@@ -88,9 +88,9 @@ fn sample(format: &str, axis: usize, list: bool) -> Vec<u8> {
     }
     header += "element face 3\nproperty list uchar int vertex_indices\nend_header\n";
     let mut file = header.into_bytes();
-    let mut put = |value: usize, ty: ScalarType| {
+    let mut put = |value: usize, ty: ScalarType, after: &str| {
         if format == "ascii" {
-            file.extend(format!("{value}{}", if value.is_multiple_of(2) { " " } else { "\n" }).bytes());
+            file.extend(format!("{value}{after}").bytes());
             return;
         }
         let mut raw = match ty {
@@ -103,19 +103,20 @@ fn sample(format: &str, axis: usize, list: bool) -> Vec<u8> {
         }
         file.extend(raw);
     };
-    for (value, ty) in [(1, ScalarType::U8), (2, ScalarType::I16), (3, ScalarType::U8), (4, ScalarType::I16)] {
-        put(value, ty);
+    for a in [1, 3] {
+        put(a, ScalarType::U8, " ");
+        put(a + 1, ScalarType::I16, "\n");
     }
-    put(2, ScalarType::U8);
-    put(77, ScalarType::I32);
-    put(78, ScalarType::I32);
+    put(2, ScalarType::U8, " ");
+    put(77, ScalarType::I32, " ");
+    put(78, ScalarType::I32, "\r\n");
     for i in 0..20 {
         for (j, ty) in types.iter().enumerate() {
             if list && j == 12 {
-                put(i % 3, ScalarType::U8);
-                (0..i % 3).for_each(|k| put(k, ScalarType::U16));
+                put(i % 3, ScalarType::U8, "\t");
+                (0..i % 3).for_each(|k| put(k, ScalarType::U16, " "));
             }
-            put(i + 3 * j, *ty);
+            put(i + 3 * j, *ty, if j + 1 < types.len() { " " } else { " \n" });
         }
     }
     file
@@ -201,7 +202,7 @@ fn bits_are_kept() {
 fn text_coordinates_are_the_numbers_as_written() {
     let head =
         "ply \nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z \nend_header\n";
-    let source = opened(format!("{head}-0.66641 nan 1e3\n\n 1 2\n3").as_bytes());
+    let source = opened(format!("{head}-0.66641 nan 1e3\n\n 1 2 3").as_bytes());
     assert_eq!(column(&*source, "x"), Column::F64(vec![-0.66641, 1.0]));
     assert_eq!(column(&*source, "z"), Column::F64(vec![1000.0, 3.0]));
     for (text, line, bad) in [("1 2 x 4 5 6", 8, "x"), ("1 2 3\n4 5 six", 9, "six")] {
@@ -212,6 +213,67 @@ fn text_coordinates_are_the_numbers_as_written() {
     let bytes = head.replace("float x", "uchar x");
     let error = records(&*opened(format!("{bytes}256 1 1 1 1 1").as_bytes()), 1).unwrap_err().to_string();
     assert!(error.contains("expected a value of type u8, found `256`"), "{error}");
+}
+
+#[test]
+fn vertices_of_a_text_are_one_a_line_or_read_word_by_word_and_never_mixed() {
+    // A line with a value too many or too few shifted all values after it, and nobody said so.
+    let read = |count: u64, rest: &str| {
+        let axes = "property float x\nproperty float y\nproperty float z\n";
+        let source = opened(format!("ply\nformat ascii 1.0\nelement vertex {count}\n{axes}{rest}").as_bytes());
+        let read = records(&*source, 1).map(|(all, tally)| {
+            let at = |i: usize| f64::from_le_bytes(all[8 * i..8 * i + 8].try_into().unwrap());
+            ((0..all.len() / 8).map(at).collect::<Vec<_>>(), tally.read, tally.truncated + source.info().missing)
+        });
+        let warnings = source.info().warnings.iter().cloned().chain(source.found_while_reading());
+        (read.map_err(|e| e.to_string()), warnings.collect::<Vec<_>>().join("; "))
+    };
+    let six = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+    let faces = "element face 1\nproperty list uchar int l\n";
+    for (rest, warning) in [
+        ("end_header\n1 2 3\n4 5 6\n", ""),
+        ("end_header\n\n1 2 3\r\n \n\t4 5 6", ""),
+        ("end_header\n1 2 3\r4 5 6\r", ""),
+        (&format!("{faces}end_header\n1 2 3\n4 5 6\n2 0 1\n"), "1 records of element `face` are not kept"),
+        ("end_header\n1 2 3 4 5 6", "the vertices are not one a line"),
+        ("end_header\n1 2\n3 4\n5 6\n", "the vertices are not one a line"),
+        (&format!("{faces}end_header\n1 2 3 4\n5 6 2 0\n1"), "the vertices are not one a line"),
+        ("end_header\n1 2 3\n4 5 6\n7 8 9\n", "line 10 and what follows are more than the header announces"),
+    ] {
+        let (read, warnings) = read(2, rest);
+        assert_eq!(read.unwrap(), (six.to_vec(), 2, 0), "{rest}");
+        assert!(warnings.contains(warning) && warning.is_empty() == warnings.is_empty(), "{rest}: {warnings}");
+    }
+    let line = "expected one vertex a line";
+    for (count, rest, expected) in [
+        (2, "end_header\n1 2 3 99\n4 5 6 99\n", "line 8: expected one vertex a line, or just as many values"),
+        (3, "end_header\n1 2\n4 5\n6 7\n", "line 8: expected one vertex a line, or just as many values"),
+        (2, "end_header\n1 2\n4 5 6\n", &format!("line 8: {line}, with the values that the header names, found fewer")),
+        (
+            2,
+            "end_header\n1 2 3\n4 5 6 99\n",
+            &format!("line 9: {line}, with the values that the header names, found more"),
+        ),
+        (
+            3,
+            "end_header\n1 2 3 9\n4 5 6\n7 8 9\n",
+            &format!("line 8: {line}, with the values that the header names, found more"),
+        ),
+        (
+            3,
+            "end_header\n1 2 3\n4 5\n\n7 8 9\n",
+            &format!("line 9: {line}, with the values that the header names, found fewer"),
+        ),
+        (2, &format!("{faces}end_header\n1 2 3\n4 5\n2 0 1\n"), "line 11: expected one vertex a line"),
+    ] {
+        let error = read(count, rest).0.unwrap_err();
+        assert!(error.contains(expected), "{rest}: {error}");
+    }
+    // What is cut off has been a vertex a line.
+    for (rest, found) in [("end_header\n1 2 3\n4 5", 1), ("end_header\n1 2", 0)] {
+        let (_, whole, missing) = read(2, rest).0.unwrap();
+        assert_eq!((whole, missing), (found, 2 - found), "{rest}");
+    }
 }
 
 #[test]
@@ -301,7 +363,7 @@ fn lying_counts_cost_nothing() {
                  element vertex {0}\nproperty int x\nproperty int y\nproperty int z\n{list}end_header\n",
                 u64::MAX
             );
-            for tail in ["", "\u{7f}\u{7f}\u{7f}\u{7f}", "9 9 9 9 9 9 9 9 9 9 9 9 9"] {
+            for tail in ["", "\u{7f}\u{7f}\u{7f}\u{7f}", "9 9 9 9 9 9 9 9 9 9\n9 9 9"] {
                 let source = opened(format!("{head}{tail}").as_bytes());
                 assert!(source.info().missing > u64::MAX - 100);
                 let (_, tally) = records(&*source, 1000).unwrap();

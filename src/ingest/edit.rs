@@ -12,7 +12,7 @@ use super::run::opened;
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
-use crate::store::{Digest, Flip, Store, WriterLock};
+use crate::store::{Digest, Flip, Store, StoreError, WriterLock};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -226,7 +226,12 @@ pub fn compact(
         }
         Err(error) => {
             remove_copy(&unfinished);
-            Err(error)
+            Err(match error {
+                IngestError::Store(StoreError::Full { path }) if path == unfinished => {
+                    StoreError::Full { path: copy.into() }.into()
+                }
+                error => error,
+            })
         }
     }
 }

@@ -1,9 +1,10 @@
 //! How SQLite is opened: flags, pragmas, schema, and the checks that the file is a store of ours.
 
 use super::error::{RowError, StoreError};
-use super::files::{has_journal, uri, wal_bytes};
+use super::files::{beside, has_journal, uri, wal_bytes};
 use super::interrupt::{is_busy, patiently};
 use super::rows::{SiteRow, load_site};
+use super::untouched::Untouched;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 use std::path::Path;
@@ -121,6 +122,8 @@ pub(super) fn enter_log(connection: &Connection, stop: &dyn Fn() -> bool) -> Res
 pub(super) enum Refused {
     /// The place does not let SQLite do what it needs: no file can be made beside the store.
     Place,
+    /// There is no room for what SQLite needs beside the store.
+    Full,
     /// Anything else.
     Store(StoreError),
 }
@@ -130,6 +133,7 @@ impl Refused {
     pub fn at(self, path: &Path) -> StoreError {
         match self {
             Self::Place => StoreError::ReadOnly { path: path.to_path_buf() },
+            Self::Full => StoreError::Full { path: path.to_path_buf() },
             Self::Store(e) => e,
         }
     }
@@ -141,7 +145,10 @@ impl Refused {
             {
                 Self::Place
             }
-            e => Self::Store(e.at(path)),
+            e => match e.at(path) {
+                StoreError::Full { .. } => Self::Full,
+                e => Self::Store(e),
+            },
         }
     }
 }
@@ -165,8 +172,9 @@ pub(super) fn open(path: &Path, purpose: Purpose) -> Result<Connection, Refused>
     Ok(connection)
 }
 
-/// Opens a store for reading, as usual or as a medium that nobody can write, whichever works.
-pub(super) fn open_for_reading(path: &Path) -> Result<(Purpose, Connection), StoreError> {
+/// Opens a store for reading, as usual or as a medium that nobody can write, whichever works; of the latter with what must
+/// stay as it is.
+pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouched>), StoreError> {
     let path_buf = || path.to_path_buf();
     let facts = std::fs::metadata(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => StoreError::NotThere { path: path_buf() },
@@ -185,9 +193,33 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Purpose, Connection), Sto
     match open(path, Purpose::Read) {
         // No shared memory can be made beside it.
         Err(Refused::Place) if had_wal || has_journal(path) => Err(StoreError::NeedsRecovery { path: path_buf() }),
-        Err(Refused::Place) => open(path, Purpose::Immutable).map(|c| (Purpose::Immutable, c)).map_err(|e| e.at(path)),
+        Err(Refused::Full) if had_wal || has_journal(path) => Err(StoreError::Full { path: path_buf() }),
+        Err(refused @ (Refused::Place | Refused::Full)) => {
+            if matches!(refused, Refused::Full) {
+                remove_index(path);
+            }
+            let untouched = Untouched::of(path)?;
+            let connection = open(path, Purpose::Immutable).map_err(|e| e.at(path))?;
+            untouched.check(path)?;
+            Ok((connection, Some(untouched)))
+        }
         Err(e) => Err(e.at(path)),
-        Ok(connection) => Ok((Purpose::Read, connection)),
+        Ok(connection) => Ok((connection, None)),
+    }
+}
+
+/// Removes the beginning of an index of the log, which SQLite leaves where there is no room for all of it.
+fn remove_index(path: &Path) {
+    let alone = || {
+        let connection = connect(path, Purpose::Read)?;
+        connection.busy_timeout(Duration::ZERO)?;
+        // Then SQLite needs no index, and takes the file for itself as soon as it reads it.
+        connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
+        load_site(&connection).map(|_| connection)
+    };
+    // Whoever has an index open has the file locked too: it is removed from under nobody. What can't be removed does no harm.
+    if let Ok(_alone) = alone() {
+        let _ = std::fs::remove_file(beside(path, "-shm"));
     }
 }
 

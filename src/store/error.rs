@@ -20,6 +20,15 @@ pub enum StoreError {
         /// Where it was.
         path: PathBuf,
     },
+    /// It was opened without a log, as on a medium that nobody can write, and is being written after all.
+    #[error(
+        "{path}: was changed while it was read (there was no place for a log beside it, so it was read as a file that nobody writes); \
+         open it again"
+    )]
+    Changed {
+        /// The store.
+        path: PathBuf,
+    },
     /// A store is one file.
     #[error("{path}: is a directory, not a store")]
     Directory {

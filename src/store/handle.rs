@@ -1,7 +1,7 @@
 //! The store itself: made, opened, looked at.
 
 use super::cache::CacheFigures;
-use super::connection::{self, Purpose};
+use super::connection;
 use super::error::{RowError, StoreError};
 use super::files::{beside, followed, journal, wal};
 use super::lock::WriterLock;
@@ -135,8 +135,8 @@ impl Store {
     /// As [`Store::open`].
     pub fn open_with(path: impl AsRef<Path>, limits: Limits) -> Result<Self, StoreError> {
         let path = &*followed(path.as_ref());
-        let (purpose, connection) = connection::open_for_reading(path)?;
-        Ok(Self::at(Place::file(path, purpose, limits, Some(connection))))
+        let (connection, untouched) = connection::open_for_reading(path)?;
+        Ok(Self::at(Place::file(path, limits, connection, untouched)))
     }
 
     /// Makes an empty store in memory: gone with its last handle.
@@ -173,13 +173,16 @@ impl Store {
             Place::File(file) => {
                 let connection = file.connect()?;
                 let seen = connection.execute_batch("BEGIN").map_err(RowError::from);
-                let seen = seen.and_then(|()| load_generation(&connection)).map_err(|e| self.place.error(e))?;
+                let seen = seen.and_then(|()| load_generation(&connection)).map_err(|e| self.place.error(e));
+                file.check_untouched()?;
+                let seen = seen?;
                 if let Some(held) = newest.upgrade().filter(|held| held.generation() == seen) {
                     file.give_back(connection);
                     return Ok(Snapshot::of(held));
                 }
-                let renews = file.purpose != Purpose::Immutable;
-                Inner::of_file(&self.place, connection, renews).map_err(|e| self.place.error(e))?
+                let inner = Inner::of_file(&self.place, connection, file.can_change()).map_err(|e| self.place.error(e));
+                file.check_untouched()?;
+                inner?
             }
         };
         let inner = Arc::new(inner);
@@ -203,6 +206,7 @@ impl Store {
             Place::File(file) => {
                 let connection = file.connect()?;
                 let generation = load_generation(&connection);
+                file.check_untouched()?;
                 file.give_back(connection);
                 generation
             }

@@ -96,6 +96,10 @@ impl Lanes {
         let mut guard = Guard { lanes: self, lane: Some(self.take()?) };
         let Some(lane) = guard.lane.as_mut() else { return Err(StoreError::Busy { path: self.place.path().into() }) };
         let result = read(&lane.connection).map_err(|e| self.place.error(e));
+        // Before what was read is believed, or its error.
+        if let Some(file) = file(&self.place) {
+            file.check_untouched()?;
+        }
         if self.renews && lane.since.elapsed() > RENEW_AFTER {
             self.renew(lane);
         }

@@ -38,6 +38,7 @@ mod testing;
 #[cfg(test)]
 mod tests;
 mod tree_check;
+mod untouched;
 mod verify;
 mod writer;
 mod zones;

@@ -3,6 +3,7 @@
 use super::cache::Caches;
 use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
+use super::untouched::Untouched;
 use rusqlite::Connection;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -58,7 +59,8 @@ impl Default for Limits {
 #[derive(Debug)]
 pub(super) struct FilePlace {
     pub path: PathBuf,
-    pub purpose: Purpose,
+    /// For a file that is read as one that nobody can write.
+    untouched: Option<Untouched>,
     pub limits: Limits,
     pub caches: Caches,
     /// Which file it was when it was opened.
@@ -79,10 +81,11 @@ pub(super) struct MemoryPlace {
 }
 
 impl Place {
-    pub fn file(path: &Path, purpose: Purpose, limits: Limits, connection: Option<Connection>) -> Self {
-        let idle = Mutex::new(connection.into_iter().collect());
+    /// With its first connection.
+    pub fn file(path: &Path, limits: Limits, connection: Connection, untouched: Option<Untouched>) -> Self {
+        let idle = Mutex::new(vec![connection]);
         let caches = Caches::new(limits.row_bytes, limits.block_bytes);
-        Self::File(FilePlace { path: path.to_path_buf(), purpose, limits, caches, id: file_id(path), idle })
+        Self::File(FilePlace { path: path.to_path_buf(), untouched, limits, caches, id: file_id(path), idle })
     }
 
     pub fn memory(connection: Connection) -> Self {
@@ -155,8 +158,25 @@ impl FilePlace {
         let idle = lock(&self.idle).pop();
         match idle {
             Some(connection) => Ok(connection),
-            None => connection::open(&self.path, self.purpose).map_err(|e| e.at(&self.path)),
+            None => {
+                let purpose = if self.can_change() { Purpose::Read } else { Purpose::Immutable };
+                connection::open(&self.path, purpose).map_err(|e| e.at(&self.path))
+            }
         }
+    }
+
+    /// May a new generation come while this is open?
+    pub fn can_change(&self) -> bool {
+        self.untouched.is_none()
+    }
+
+    /// After reading: nobody has changed a file that is read as one that nobody can write.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Changed`].
+    pub fn check_untouched(&self) -> Result<(), StoreError> {
+        self.untouched.map_or(Ok(()), |untouched| untouched.check(&self.path))
     }
 
     /// Closes the read connections that nobody uses.

@@ -406,7 +406,8 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// [`StoreError::AlreadyThere`], [`StoreError::Full`], [`StoreError::Sqlite`]; no copy is left then.
+    /// [`StoreError::AlreadyThere`], [`StoreError::Full`] and [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; no
+    /// copy is left then.
     pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
         if path.exists() {
             return Err(StoreError::AlreadyThere { path: path.into() });
@@ -419,7 +420,12 @@ impl Writer {
         if copied.is_err() {
             let _ = std::fs::remove_file(path);
         }
-        copied
+        copied.map_err(|e| match e {
+            // Only the copy is written.
+            StoreError::Full { .. } => StoreError::Full { path: path.into() },
+            StoreError::ReadOnly { .. } => StoreError::ReadOnly { path: path.into() },
+            e => e,
+        })
     }
 
     /// Gives up: the store is as it was last committed.

@@ -4,7 +4,7 @@ use crate::support::{esker, esker_fails, esker_ok};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 use tempfile::TempDir;
 
 struct Place {
@@ -260,6 +260,70 @@ fn a_full_disk_leaves_the_store_as_it_was() {
     // With room again, the same command does it.
     esker_ok(&["ingest", &store, &place.path("more.las")]);
     assert_eq!(esker_ok(&["query", &store, "--count"]).trim(), "220000");
+}
+
+/// Runs it where every write to a file whose path contains `part` finds the disk full.
+fn esker_on_full_disk(shim: &Path, part: &str, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_esker"));
+    command.args(arguments).env("LD_PRELOAD", shim);
+    command.env("ESKER_TEST_PATH", part).env("ESKER_TEST_FAULT", "full:0").output().unwrap()
+}
+
+#[test]
+fn a_store_on_a_full_disk_can_be_read() {
+    // SQLite found no room for the index of a log that was not there.
+    let place = Place::new();
+    let shim = crate::faults::shim(place.folder.path());
+    let store = place.store(1000);
+    let out = place.path("out.csv");
+    for arguments in [
+        &["query", &store, "--count"][..],
+        &["info", &store],
+        &["digest", &store],
+        &["verify", "--deep", &store],
+        &["query", &store, "-o", &out],
+    ] {
+        let output = esker_on_full_disk(&shim, "torus.esker", arguments);
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments:?}: {stderr}");
+        if arguments[0] != "info" && !arguments.contains(&"verify") {
+            let _ = fs::remove_file(&out);
+            assert_eq!(String::from_utf8_lossy(&output.stdout), esker_ok(arguments), "{arguments:?}");
+        }
+        for suffix in ["-shm", "-wal"] {
+            place.nothing_there(&format!("torus.esker{suffix}"));
+        }
+    }
+    // A log has to be applied, and that needs the index.
+    fs::write(format!("{store}-wal"), b"some log").unwrap();
+    let output = esker_on_full_disk(&shim, "torus.esker", &["query", &store, "--count"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && stderr.contains("the disk is full"), "{stderr}");
+}
+
+#[test]
+fn a_full_disk_is_that_of_the_file_that_is_written() {
+    let place = Place::new();
+    let shim = crate::faults::shim(place.folder.path());
+    let store = place.store(1000);
+    fs::create_dir(place.path("full")).unwrap();
+    let copy = place.path("full/copy.esker");
+    let output = esker_on_full_disk(&shim, "/full/", &["compact", &store, "-o", &copy]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(stderr.starts_with(&format!("esker: {copy}: the disk is full")), "{stderr}");
+    assert_eq!(fs::read_dir(place.path("full")).unwrap().count(), 0);
+    // What goes to the standard output lies in the folder for temporary files until it is whole.
+    let output = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["query", &store, "-o", "-", "--format", "las"])
+        .env("LD_PRELOAD", &shim)
+        .env("ESKER_TEST_PATH", "/full/")
+        .env("ESKER_TEST_FAULT", "full:0")
+        .env("TMPDIR", place.path("full"))
+        .output()
+        .unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(stderr.contains(&place.path("full")) && stderr.contains("TMPDIR"), "{stderr}");
+    assert_eq!(fs::read_dir(place.path("full")).unwrap().count(), 0);
 }
 
 #[test]

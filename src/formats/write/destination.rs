@@ -56,6 +56,8 @@ fn belongs_to_database(path: &Path) -> bool {
 pub(super) struct Destination {
     /// What messages call it.
     shown: PathBuf,
+    /// What messages call it where writing fails: what goes to the standard output lies in another place until then.
+    written: PathBuf,
     /// Where it will be; `None` for the standard output.
     path: Option<PathBuf>,
     temporary: PathBuf,
@@ -99,21 +101,25 @@ impl Destination {
             _ => {}
         }
         let (temporary, file) = temporary_file(&folder, path)?;
-        Ok((Self { shown: path.into(), path: Some(target), temporary, force }, file))
+        Ok((Self { shown: path.into(), written: path.into(), path: Some(target), temporary, force }, file))
     }
 
     /// A new, empty file that will be copied to the standard output.
     pub fn standard_output() -> Result<(Self, File), FormatError> {
+        let folder = std::env::temp_dir();
         let shown = PathBuf::from(super::STANDARD_OUTPUT);
-        let (temporary, file) = temporary_file(&std::env::temp_dir(), &shown)?;
-        Ok((Self { shown, path: None, temporary, force: false }, file))
+        let written =
+            PathBuf::from(format!("a temporary file in {} (TMPDIR) for the {}", folder.display(), shown.display()));
+        let (temporary, file) = temporary_file(&folder, &written)?;
+        Ok((Self { shown, written, path: None, temporary, force: false }, file))
     }
 
     /// A new, empty file beside this one for what is collected meanwhile; it is removed when it is dropped.
     pub fn scratch(&self) -> Result<(Self, File), FormatError> {
         let folder = self.temporary.parent().unwrap_or(Path::new("."));
-        let (temporary, file) = temporary_file(folder, &self.shown)?;
-        Ok((Self { shown: self.shown.clone(), path: None, temporary, force: false }, file))
+        let (temporary, file) = temporary_file(folder, &self.written)?;
+        let (shown, written) = (self.shown.clone(), self.written.clone());
+        Ok((Self { shown, written, path: None, temporary, force: false }, file))
     }
 
     /// What messages call it.
@@ -121,9 +127,9 @@ impl Destination {
         &self.shown
     }
 
-    /// The error for a failed `action`.
+    /// The error for a failed `action` on the file as it is now.
     pub fn error(&self, action: &'static str, source: io::Error) -> FormatError {
-        FormatError::Io { path: self.shown.clone(), action, source }
+        FormatError::Io { path: self.written.clone(), action, source }
     }
 
     /// The error for points that this form cannot hold.
@@ -138,7 +144,7 @@ impl Destination {
             file.seek(SeekFrom::Start(0)).map_err(|e| self.error("reading back", e))?;
             let mut out = io::stdout().lock();
             let copied = io::copy(&mut file, &mut out).and_then(|_| io::Write::flush(&mut out));
-            return copied.map_err(|e| self.error("writing", e));
+            return copied.map_err(|source| FormatError::Io { path: self.shown.clone(), action: "writing", source });
         };
         // Windows renames no open file.
         drop(file);

@@ -9,6 +9,7 @@ mod generate;
 mod info;
 mod ingest;
 mod interrupt;
+mod limits;
 mod merge;
 mod nearest;
 mod output;
@@ -86,6 +87,7 @@ enum Command {
 
 /// Runs the command that the process was started with.
 pub fn main() -> ExitCode {
+    limits::let_writes_fail();
     // A closed pipe ends a program quietly in the shell's tradition; Rust reports it as an error of a write instead,
     // which `output` turns into a quiet end.
     let arguments = Arguments::parse();
@@ -116,7 +118,8 @@ pub fn main() -> ExitCode {
         Ok(Outcome::Damaged) => ExitCode::FAILURE,
         Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("esker: {}", output::one_line(&error));
+            let hint = limits::of_file_size(&error).unwrap_or_default();
+            eprintln!("esker: {}{hint}", output::one_line(&error));
             ExitCode::from(if is_interrupted(&error) { EXIT_INTERRUPTED } else { 1 })
         }
     }

@@ -326,6 +326,41 @@ fn a_full_disk_is_that_of_the_file_that_is_written() {
     assert_eq!(fs::read_dir(place.path("full")).unwrap().count(), 0);
 }
 
+#[cfg(unix)]
+#[test]
+fn a_limit_of_file_sizes_is_an_ordinary_error() {
+    // A signal ended the process without a word, and half-written files stayed.
+    let place = Place::new();
+    let store = place.store(20_000);
+    let before = esker_ok(&["digest", &store]);
+    let more = place.path("more.las");
+    esker_ok(&["generate", "spheres", "--points", "200000", "-o", &more]);
+    for arguments in [
+        &["ingest", &store, &more][..],
+        &["compact", &store, "-o", &place.path("copy.esker")],
+        &["query", &store, "-o", &place.path("out.csv")],
+        &["query", &store, "-o", &place.path("out.las")],
+        &["generate", "torus", "--points", "100000", "-o", &place.path("out.las")],
+    ] {
+        // Blocks of 512 bytes or of 1024, as the shell has them.
+        let script = ["-c", "ulimit -f 100; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_esker")];
+        let output =
+            Command::new("sh").args(script).args(arguments).env("TMPDIR", place.folder.path()).output().unwrap();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {stderr}");
+        assert!(
+            stderr.contains("no file may be larger than") && stderr.contains("ulimit -f"),
+            "{arguments:?}: {stderr}"
+        );
+        let mut left: Vec<_> =
+            fs::read_dir(place.folder.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        left.sort();
+        assert_eq!(left, ["more.las", "torus.esker", "torus.las"], "{arguments:?}");
+        assert_eq!(esker_ok(&["digest", &store]), before, "{arguments:?}");
+    }
+    esker_ok(&["verify", &store]);
+}
+
 #[test]
 fn an_interrupt_keeps_what_was_committed() {
     let place = Place::new();

@@ -53,6 +53,7 @@ const OWNERS: &[(&str, &[&str])] = &[
     ("anyhow", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),
+    ("nix", &["cli"]),
 ];
 
 fn sources() -> Vec<(PathBuf, String)> {

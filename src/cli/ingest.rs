@@ -55,7 +55,7 @@ pub(super) struct Arguments {
     ignore_crs: bool,
     /// The scan's name, for a single input of one scan (default: what the file calls it, or the file's name without its
     /// ending).
-    #[arg(long)]
+    #[arg(long, value_parser = values::name, allow_hyphen_values = true)]
     name: Option<String>,
     /// Where the inputs stand: a file of poses, one for each input file in their order; may be given several times. A pose
     /// is a row-major 4 x 4 matrix, or tx ty tz qw qx qy qz; text or JSON. It comes after a file's own pose.
@@ -63,7 +63,7 @@ pub(super) struct Arguments {
     poses: Vec<PathBuf>,
     /// What the columns of text files are, such as x,y,z,intensity,red,green,blue; `-` for one that is not read (default:
     /// their header line, or the customary ones).
-    #[arg(long, value_name = "A,B,..", value_parser = columns)]
+    #[arg(long, value_name = "A,B,..", value_parser = columns, allow_hyphen_values = true)]
     columns: Option<Columns>,
     /// Look for point files in folders below, too.
     #[arg(long)]

@@ -24,10 +24,10 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE")]
     pose: Option<PathBuf>,
     /// What the columns of a text file are, as for `ingest`.
-    #[arg(long, value_name = "A,B,..", value_parser = super::ingest::columns)]
+    #[arg(long, value_name = "A,B,..", value_parser = super::ingest::columns, allow_hyphen_values = true)]
     columns: Option<super::ingest::Columns>,
     /// The new scan's name (default: the old one's).
-    #[arg(long)]
+    #[arg(long, value_parser = super::values::name, allow_hyphen_values = true)]
     name: Option<String>,
     /// Take coordinates as they are though the file's CRS is not the site's.
     #[arg(long)]

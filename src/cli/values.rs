@@ -40,6 +40,14 @@ pub(super) fn per_axis(text: &str) -> Result<[f64; 3], String> {
     }
 }
 
+/// The name of a scan, which may begin with a dash. With two it is an option more likely, whose name was forgotten before it.
+pub(super) fn name(text: &str) -> Result<String, String> {
+    if text.starts_with("--") {
+        return Err("it looks like an option; a scan of such a name is given by its number".into());
+    }
+    Ok(text.into())
+}
+
 /// A positive, finite number.
 pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {

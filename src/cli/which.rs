@@ -2,6 +2,7 @@
 
 use super::interrupt::cancelled_by_interrupt;
 use super::region::Where;
+use super::values;
 use crate::query::{Filter, Query, Region};
 use crate::store::Snapshot;
 use clap::Args;
@@ -11,10 +12,10 @@ pub(super) struct Which {
     #[command(flatten)]
     pub place: Where,
     /// Only points for which this is true, such as 'Classification in (2, 9)'.
-    #[arg(long = "where", value_name = "EXPR")]
+    #[arg(long = "where", value_name = "EXPR", allow_hyphen_values = true)]
     filter: Option<String>,
     /// Only this scan, by name or id; may be given several times.
-    #[arg(long = "scan", value_name = "NAME")]
+    #[arg(long = "scan", value_name = "NAME", value_parser = values::name, allow_hyphen_values = true)]
     scans: Vec<String>,
 }
 

@@ -362,6 +362,25 @@ fn a_limit_of_file_sizes_is_an_ordinary_error() {
 }
 
 #[test]
+fn a_value_may_begin_with_a_dash_and_no_option_is_taken_for_one() {
+    let place = Place::new();
+    let store = place.path("s.esker");
+    let rows = place.write("rows.txt", b"7 1 2 3\n8 4 5 -6\n");
+    esker_ok(&["ingest", &store, &rows, "--name", "-north", "--columns", "-,x,y,z"]);
+    esker_ok(&["ingest", &store, &place.las("torus.las", 10)]);
+    let count = |arguments: &[&str]| esker_ok(&[&["query", &store, "--count"], arguments].concat()).trim().to_owned();
+    assert_eq!(count(&["--scan", "-north"]), "2");
+    assert_eq!(count(&["--scan", "-north", "--where", "-5 < z"]), "1");
+    for forgotten in [&["query", &store, "--scan", "--count"][..], &["ingest", &store, &rows, "--name", "--strict"]] {
+        esker_fails(forgotten, 2, &["looks like an option"]);
+    }
+    esker_ok(&["replace", &store, "--name", "-south", "--", "-north", &rows]);
+    esker_ok(&["hide", &store, "--", "-south"]);
+    esker_ok(&["remove", &store, "--", "-south"]);
+    assert_eq!(count(&[]), "10");
+}
+
+#[test]
 fn an_interrupt_keeps_what_was_committed() {
     let place = Place::new();
     let store = place.store(1000);

@@ -66,10 +66,10 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "LOW,HIGH", value_parser = options::range, allow_hyphen_values = true)]
     range: Option<[f64; 2]>,
     /// Only points for which this is true.
-    #[arg(long = "where", value_name = "EXPR")]
+    #[arg(long = "where", value_name = "EXPR", allow_hyphen_values = true)]
     filter: Option<String>,
     /// Only this scan, by name or id; may be given several times.
-    #[arg(long = "scan", value_name = "NAME")]
+    #[arg(long = "scan", value_name = "NAME", value_parser = values::name, allow_hyphen_values = true)]
     scans: Vec<String>,
     #[command(flatten)]
     look: options::Look,

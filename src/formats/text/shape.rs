@@ -75,9 +75,10 @@ pub fn row_at(line: &[u8], axes: [usize; 3]) -> Option<(Separator, bool)> {
 pub fn names(line: &[u8]) -> Option<Vec<String>> {
     let line = without_mark(line).trim_ascii();
     // What is not UTF-8 is Latin-1 most likely.
-    let text = |word: &[u8]| {
-        std::str::from_utf8(word).map_or_else(|_| word.iter().map(|&b| char::from(b)).collect(), str::to_owned)
+    let text = |word: Vec<u8>| {
+        String::from_utf8(word).unwrap_or_else(|e| e.as_bytes().iter().map(|&b| char::from(b)).collect())
     };
-    let words: Vec<_> = Separator::of(line).words(line).map(text).collect();
+    let mut words = Separator::of(line).words(line);
+    let words: Vec<_> = std::iter::from_fn(|| words.next_name()).map(text).collect();
     (words.len() >= 3).then_some(words)
 }

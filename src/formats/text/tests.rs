@@ -172,6 +172,14 @@ fn names_that_do_not_fit_the_rows_are_told() {
 }
 
 #[test]
+fn two_quotes_in_a_quoted_name_are_one() {
+    // Both were kept, and each was doubled when the name was written.
+    let all = opened("a.csv", "x,y,z,\"a \"\"b\"\" c\",\"\"\"d\"\"\",\"e,\"\"f\",g\"\"h\n1,2,3,4,5,6,7\n");
+    let names = attributes(&*all[0]);
+    assert_eq!(names, ["\"d\" i32", "a \"b\" c i32", "e,\"f i32", "g\"\"h i32"]);
+}
+
+#[test]
 fn the_user_says_what_columns_are() {
     let content = "7 1 2 3 0.5 9\n8 4 5 6 0.6 9\n";
     let all = try_opened("a.txt", content, Some("-,x,y,z,reflectance")).unwrap();

@@ -103,6 +103,25 @@ impl<'a> Iterator for Words<'a> {
     }
 }
 
+impl Words<'_> {
+    /// The next word as a name: as [`Iterator::next`] gives it, but two quotes inside quotes are one.
+    pub fn next_name(&mut self) -> Option<Vec<u8>> {
+        let is_in_quotes = match (self.separator, self.rest) {
+            (Separator::Byte(byte), Some(rest)) => in_quotes(rest, byte).is_some(),
+            _ => false,
+        };
+        let mut name = self.next()?.to_vec();
+        if is_in_quotes {
+            let mut is_second = false;
+            name.retain(|&b| {
+                is_second = b == b'"' && !is_second;
+                b != b'"' || is_second
+            });
+        }
+        Some(name)
+    }
+}
+
 /// A first word in double quotes, which may hold separators (RFC 4180), and what follows it.
 fn in_quotes(rest: &[u8], separator: u8) -> Option<(&[u8], Option<&[u8]>)> {
     let first = rest.iter().position(|&b| b != b' ')?;

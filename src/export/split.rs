@@ -5,15 +5,18 @@ use crate::formats::{OutputFormat, PointWriter};
 use crate::points::{Attribute, Batch, Number, counted};
 use crate::query::{OutputForm, Query};
 use crate::store::Snapshot;
-use crate::store::model::ScanId;
-use std::collections::BTreeMap;
+use crate::store::model::{Scan, ScanId};
 use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Open files at a time; more classes than there can be.
 const MOST_FILES: usize = 1024;
+
+/// Bytes of a file's name that every file system takes.
+const LONGEST_NAME: usize = 255;
 
 /// Writes the answer to files named after `path`.
 pub(super) fn split(
@@ -38,8 +41,9 @@ pub(super) fn split(
     if by == SplitBy::Class && classes.is_empty() {
         return Err(ExportError::NoClass);
     }
+    let paths = scan_paths(snapshot, &form.scans, path);
     let all = form.attributes;
-    let mut files = Files { snapshot, query, path, format, options, all, parts: BTreeMap::new() };
+    let mut files = Files { snapshot, query, path, paths, format, options, all, parts: BTreeMap::new() };
     let (mut failure, mut points) = (None, 0);
     let answer = whole.run(snapshot, |batch| {
         let key = |i: usize| match by {
@@ -125,11 +129,41 @@ impl Classes {
     }
 }
 
+/// A file for each scan, no two of one name, also where capital letters make no difference.
+fn scan_paths(snapshot: &Snapshot, scans: &[ScanId], path: &Path) -> BTreeMap<ScanId, PathBuf> {
+    let fit = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    let mut taken = BTreeSet::new();
+    let mut of = |scan: &Scan| {
+        let name: String = scan.name.chars().map(fit).collect();
+        let mut take = |after: &str| {
+            let (path, is_whole) = part_path(path, &name, after);
+            // What is cut off may be all that tells two of them apart.
+            let is_free = is_whole || !after.is_empty();
+            (is_free && taken.insert(path.to_string_lossy().to_lowercase())).then_some(path)
+        };
+        let numbered = || (1_u64..).map(|n| if n == 1 { format!("_{}", scan.id) } else { format!("_{}_{n}", scan.id) });
+        take("").or_else(|| numbered().find_map(|after| take(&after)))
+    };
+    scans.iter().filter_map(|&id| Some((id, of(snapshot.scan(id)?)?))).collect()
+}
+
+/// `out_NAME.las` for `out.las`, with `after` behind the name, which is cut to what a file's name may have; says if it is
+/// whole.
+fn part_path(path: &Path, name: &str, after: &str) -> (PathBuf, bool) {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let ending = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
+    let room = LONGEST_NAME.saturating_sub(stem.len() + 1 + after.len() + ending.len());
+    let cut = &name[..name.floor_char_boundary(room)];
+    (path.with_file_name(format!("{stem}_{cut}{after}{ending}")), cut.len() == name.len())
+}
+
 /// The files that are being written.
 struct Files<'a> {
     snapshot: &'a Snapshot,
     query: &'a Query,
     path: &'a Path,
+    /// Those of the scans.
+    paths: BTreeMap<ScanId, PathBuf>,
     format: OutputFormat,
     options: &'a ExportOptions,
     /// The attributes of the batches.
@@ -164,26 +198,18 @@ impl Files<'_> {
         if self.parts.len() >= MOST_FILES {
             return Err(ExportError::TooManyFiles { most: MOST_FILES });
         }
-        let (name, one, of) = match key {
+        let (path, one, of) = match key {
             Key::Class(class) => {
                 let name = class.map_or("noclass".into(), |class| format!("class{class}"));
-                (name, self.query.clone(), PartOf::Class(class))
+                (part_path(self.path, &name, "").0, self.query.clone(), PartOf::Class(class))
             }
             Key::Scan(id) => {
                 let scan = self.snapshot.scan(id).ok_or(ExportError::NoScan(id))?;
-                let fit = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
-                let name = scan.name.chars().map(fit).collect();
+                let path = self.paths.get(&id).ok_or(ExportError::NoScan(id))?.clone();
                 // By its name: another one may be called as its number is.
-                (name, self.query.clone().scans([scan.name.clone()]), PartOf::Scan(scan.name.clone()))
+                (path, self.query.clone().scans([scan.name.clone()]), PartOf::Scan(scan.name.clone()))
             }
         };
-        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let ending = self.path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
-        let mut path = self.path.with_file_name(format!("{stem}_{name}{ending}"));
-        // Names that differ only in what a file name cannot have.
-        if let (Key::Scan(id), true) = (key, self.parts.values().any(|p| p.path == path)) {
-            path = self.path.with_file_name(format!("{stem}_{name}_{id}{ending}"));
-        }
         let (shape, writer) = begin(self.snapshot, &one, Target::File(&path), self.format, self.options)?;
         let columns =
             shape.attributes.iter().filter_map(|a| self.all.iter().position(|b| a.identity() == b.identity()));

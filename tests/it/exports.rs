@@ -117,6 +117,41 @@ fn colours_in_fields_of_8_and_of_16_bits_are_one_column_in_every_form() {
 }
 
 #[test]
+fn files_of_a_split_answer_have_names_that_a_file_can_have_and_no_two_the_same() {
+    // Long names failed when all was written; those that took each other's numbers, too.
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (store, out) = (path("site.esker"), path("out"));
+    fs::create_dir(&out).unwrap();
+    let long = |end: &str| format!("{}{end}", "\u{e9}".repeat(150));
+    let names = ["p:q", "p;q", "p_q_2", "P_Q", &long("1"), &long("2"), &"n".repeat(247)];
+    for (i, name) in names.iter().enumerate() {
+        fs::write(path("in.csv"), (0..=i).map(|n| format!("{n} {i} 0\n")).collect::<String>()).unwrap();
+        esker_ok(&["ingest", &store, &path("in.csv"), "--name", name, "--columns", "x,y,z"]);
+    }
+    let split = ["query", &store, "--split-by", "scan", "-o", &format!("{out}/o.csv"), "--json"];
+    let json: serde_json::Value = serde_json::from_str(&esker_ok(&split)).unwrap();
+    for told in json["outputs"].as_array().unwrap() {
+        let scan = names.iter().position(|n| told["scan"] == **n).unwrap();
+        let rows = fs::read_to_string(told["path"].as_str().unwrap()).unwrap().lines().count();
+        assert_eq!(rows, scan + 2, "{told}");
+    }
+    let mut found: Vec<_> =
+        fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    found.sort();
+    let cut = |n: usize, end: &str| format!("o_{}{end}.csv", "\u{e9}".repeat(n));
+    let whole = format!("o_{}.csv", "n".repeat(247));
+    assert_eq!(
+        found,
+        ["o_P_Q_4.csv", &whole, "o_p_q.csv", "o_p_q_2.csv", "o_p_q_2_3.csv", &cut(123, "_5"), &cut(123, "_6")]
+    );
+    // Without a name of a scan in it that could be cut.
+    let long = format!("{out}/{}.csv", "n".repeat(300));
+    let output = esker(&["query", &store, "-o", &long]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("too long"), "{output:?}");
+}
+
+#[test]
 fn files_of_a_split_answer_tell_which_scan_or_class_they_hold() {
     // Names that a file cannot have became one name and a number, and nothing said which was which.
     let folder = tempfile::tempdir().unwrap();

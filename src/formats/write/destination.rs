@@ -87,6 +87,12 @@ impl Destination {
             }
             Ok(_) if !force => return Err(FormatError::AlreadyThere { path: path.into() }),
             Ok(_) if is_database(&target) => return Err(refuse(DATABASE)),
+            // Its temporary name is not: it would be found when all is written.
+            Err(e) if e.kind() == io::ErrorKind::InvalidFilename => {
+                return Err(refuse(
+                    "is no name that a file can have here: too long, or with characters that are not allowed",
+                ));
+            }
             _ => {}
         }
         let folder = match target.parent() {

@@ -143,7 +143,7 @@ fn bottom(ui: &mut Ui, model: &mut Model) {
     egui::Panel::bottom("bottom").frame(bar(ui)).show(ui, |ui| {
         ui.horizontal(|ui| {
             let status = &model.status;
-            ui.label(format!("{} points", grouped(status.points)));
+            ui.label(counted(status.points, "point"));
             if status.missing_points > 0 {
                 ui.spinner();
                 ui.label(format!("{} more to come", grouped(status.missing_points)));
@@ -174,6 +174,11 @@ fn bottom(ui: &mut Ui, model: &mut Model) {
 }
 
 /// `1 234 567`, with thin gaps.
+fn counted(n: u64, what: &str) -> String {
+    format!("{} {what}{}", grouped(n), if n == 1 { "" } else { "s" })
+}
+
+/// `1234567` in groups of three digits, with thin spaces between them.
 fn grouped(n: u64) -> String {
     let digits = n.to_string();
     let mut text = String::new();
@@ -203,6 +208,7 @@ mod tests {
     #[test]
     fn numbers_are_grouped() {
         assert_eq!(grouped(1_234_567).replace('\u{2009}', " "), "1 234 567");
+        assert_eq!((counted(1, "scan"), counted(20, "scan")), ("1 scan".into(), "20 scans".into()));
         assert_eq!((grouped(12), bytes(999), bytes(12_345_678)), ("12".into(), "999 B".into(), "12.3 MB".into()));
     }
 

@@ -1,7 +1,7 @@
 //! Which scans are seen.
 
 use super::super::model::Model;
-use super::{grouped, mark};
+use super::{counted, mark};
 use egui::Ui;
 
 pub(super) fn show(ui: &mut Ui, model: &mut Model) {
@@ -21,7 +21,7 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
         if ui.small_button("As stored").on_hover_text("As `esker show` and `esker hide` left them").clicked() {
             model.scans = Default::default();
         }
-        ui.weak(format!("{} scans, {} points", scans.len(), grouped(total)));
+        ui.weak(format!("{}, {}", counted(scans.len() as u64, "scan"), counted(total, "point")));
     });
     egui::ScrollArea::vertical().id_salt("scans").max_height(260.0).show(ui, |ui| {
         for scan in &scans {
@@ -44,7 +44,7 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
                     // What is left is the name's, however long.
                     ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
                         let name = ui.add(egui::Label::new(&scan.name).truncate());
-                        name.on_hover_text(format!("{}: {} points", scan.name, grouped(scan.points)));
+                        name.on_hover_text(format!("{}: {}", scan.name, counted(scan.points, "point")));
                     });
                 });
             });

@@ -1,7 +1,7 @@
 //! What is drawn and what it costs.
 
 use super::super::model::Model;
-use super::{bytes, grouped};
+use super::{bytes, counted, grouped};
 use egui::Ui;
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
         ("of", model.site.as_ref().map_or_else(String::new, |s| grouped(s.points))),
         ("nodes", grouped(status.nodes)),
         ("error bound", error),
-        ("loading", format!("{} parts, {} points", status.loading, grouped(status.missing_points))),
+        ("loading", format!("{}, {}", counted(status.loading, "part"), counted(status.missing_points, "point"))),
         ("read", bytes(status.read_bytes)),
         ("uploaded", bytes(status.uploaded_bytes)),
         ("on the adapter", format!("{} of {}", bytes(status.pool_used_bytes), bytes(status.pool_bytes))),

@@ -40,86 +40,30 @@ enum Made {
 impl Meeting {
     /// For an answer of this form.
     pub fn of(snapshot: &Snapshot, form: &OutputForm) -> Self {
-        let all = &form.attributes;
-        let scans: Vec<&Scan> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
-        let having = |a: &Attribute| -> Vec<ScanId> {
-            let slot = snapshot.attributes().iter().find(|s| s.attribute.identity() == a.identity()).map(|s| s.id);
-            let has = |s: &&&Scan| slot.is_some_and(|slot| s.attributes.contains(&slot));
-            scans.iter().filter(has).map(|s| s.id).collect()
-        };
-        let mut meeting = Self {
-            attributes: Arc::new([]),
-            notes: Vec::new(),
-            made: Vec::new(),
-            kinds: Vec::new(),
-            brighten: Vec::new(),
-        };
-        let mut attributes = Vec::with_capacity(all.len());
-        let mut put = |meeting: &mut Self, attribute: &Attribute, made: Made, kinds: Vec<Attribute>| {
-            attributes.push(attribute.clone());
-            meeting.made.push(made);
-            meeting.kinds.push(kinds);
-        };
+        let there = There::of(snapshot, form);
+        let mut columns = Columns::default();
         // Canonical order: those of one name and type are neighbours.
-        for same in all.chunk_by(|a, b| (&a.name, a.ty) == (&b.name, b.ty)) {
-            let first = all.iter().position(|a| a.identity() == same[0].identity()).unwrap_or(0);
-            let there: Vec<Member<'_>> = (first..)
-                .zip(same)
-                .map(|(column, attribute)| Member { column, attribute, scans: having(attribute) })
-                .collect();
-            let present: Vec<&Member<'_>> = there.iter().filter(|m| !m.scans.is_empty()).collect();
-            // The narrower or wider kind of the same, and whether a scan has it.
-            let other = |other: &dyn Fn(&Attribute) -> bool| {
-                let column = all.iter().position(|a| a.name == same[0].name && other(a))?;
-                Some((column, !having(&all[column]).is_empty()))
-            };
-            let is_wider = |a: &Attribute| wider(&same[0]).is_some_and(|(ty, _)| a.ty == ty);
-            let is_narrower = |a: &Attribute| wider(a).is_some_and(|(ty, _)| ty == same[0].ty);
-            if let Some((_, wide_is_there)) = other(&is_wider) {
-                // Becomes the wider one.
-                if wide_is_there || present.is_empty() {
-                    continue;
-                }
-            } else if let Some((narrow, true)) = other(&is_narrower) {
-                let Some(wide) = present.first() else { continue };
-                meeting.notes.push(match all[narrow].ty {
-                    ScalarType::U8 => format!("{} of 8 bits became 16 bits: times {DEEPER}", all[narrow].name),
-                    _ => format!("{} in whole degrees became steps of 0.006 degrees, rounded", all[narrow].name),
-                });
-                let kinds = vec![wide.attribute.clone(), all[narrow].clone()];
-                put(&mut meeting, wide.attribute, Made::Widened { narrow, wide: wide.column }, kinds);
+        for same in there.all.chunk_by(|a, b| (&a.name, a.ty) == (&b.name, b.ty)) {
+            let members = there.members(same);
+            let present: Vec<&Member<'_>> = members.iter().filter(|m| !m.scans.is_empty()).collect();
+            let becomes_wider = |wide: usize| there.has(wide) || present.is_empty();
+            if there.wider(&same[0]).is_some_and(becomes_wider) {
                 continue;
             }
-            match present.as_slice() {
-                [] | [_] => {
-                    if let Some(one) = present.first().copied().or(there.first()) {
-                        put(&mut meeting, one.attribute, Made::Kept(one.column), vec![one.attribute.clone()]);
-                    }
-                }
-                several => match joined(snapshot, several) {
-                    Some((attribute, column)) => {
-                        let kinds = several.iter().map(|m| m.attribute.clone()).collect();
-                        meeting.notes.push(column.note(&attribute));
-                        put(&mut meeting, &attribute, Made::Joined(column), kinds);
-                    }
-                    None => {
-                        let name = &same[0].name;
-                        meeting.notes.push(format!(
-                            "{name} has another scale, offset or no-data value in some scans, and too many digits to be \
-                             one column: each kind has its own"
-                        ));
-                        for one in several {
-                            put(&mut meeting, one.attribute, Made::Kept(one.column), vec![one.attribute.clone()]);
-                        }
-                    }
-                },
+            match (there.narrower(&same[0]), present.as_slice()) {
+                (Some(_), []) => {}
+                (Some(narrow), [wide, ..]) => columns.widen(narrow, &there.all[narrow], wide),
+                (None, []) => members.iter().take(1).for_each(|one| columns.keep(one)),
+                (None, [one]) => columns.keep(one),
+                (None, several) => columns.join(snapshot, several),
             }
         }
+        let Columns { attributes, made, kinds, mut notes } = columns;
         let brighten = Kinds::of(snapshot, &form.scans).brightened().to_vec();
         if !brighten.is_empty() {
-            meeting.notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
+            notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
         }
-        Self { attributes: attributes.into(), brighten, ..meeting }
+        Self { attributes: attributes.into(), notes, made, kinds, brighten }
     }
 
     /// Must it be known which scan a point is of?
@@ -166,6 +110,102 @@ impl Meeting {
                 }
             }
         }
+    }
+}
+
+/// What the scans of an answer have.
+struct There<'a> {
+    snapshot: &'a Snapshot,
+    all: &'a [Attribute],
+    scans: Vec<&'a Scan>,
+}
+
+impl<'a> There<'a> {
+    fn of(snapshot: &'a Snapshot, form: &'a OutputForm) -> Self {
+        let scans = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
+        Self { snapshot, all: &form.attributes, scans }
+    }
+
+    /// The scans that have the attribute, ascending.
+    fn having(&self, attribute: &Attribute) -> Vec<ScanId> {
+        let mut stored = self.snapshot.attributes().iter();
+        let slot = stored.find(|s| s.attribute.identity() == attribute.identity()).map(|s| s.id);
+        let has = |s: &&&Scan| slot.is_some_and(|slot| s.attributes.contains(&slot));
+        self.scans.iter().filter(has).map(|s| s.id).collect()
+    }
+
+    /// Has a scan the attribute of this column?
+    fn has(&self, column: usize) -> bool {
+        !self.having(&self.all[column]).is_empty()
+    }
+
+    /// Neighbouring attributes with their columns and scans.
+    fn members(&self, same: &'a [Attribute]) -> Vec<Member<'a>> {
+        let first = self.all.iter().position(|a| a.identity() == same[0].identity()).unwrap_or(0);
+        let member = |(column, attribute)| Member { column, attribute, scans: self.having(attribute) };
+        (first..).zip(same).map(member).collect()
+    }
+
+    /// The column of the kind that this one is brought to.
+    fn wider(&self, attribute: &Attribute) -> Option<usize> {
+        let (ty, _) = wider(attribute)?;
+        self.all.iter().position(|a| a.name == attribute.name && a.ty == ty)
+    }
+
+    /// The column of the kind that is brought to this one, if a scan has it.
+    fn narrower(&self, attribute: &Attribute) -> Option<usize> {
+        let is_narrower = |a: &Attribute| wider(a).is_some_and(|(ty, _)| ty == attribute.ty);
+        let column = self.all.iter().position(|a| a.name == attribute.name && is_narrower(a))?;
+        self.has(column).then_some(column)
+    }
+}
+
+/// The columns that come out, as they are found.
+#[derive(Default)]
+struct Columns {
+    attributes: Vec<Attribute>,
+    made: Vec<Made>,
+    kinds: Vec<Vec<Attribute>>,
+    notes: Vec<String>,
+}
+
+impl Columns {
+    fn put(&mut self, attribute: &Attribute, made: Made, kinds: Vec<Attribute>) {
+        self.attributes.push(attribute.clone());
+        self.made.push(made);
+        self.kinds.push(kinds);
+    }
+
+    /// As it is.
+    fn keep(&mut self, one: &Member<'_>) {
+        self.put(one.attribute, Made::Kept(one.column), vec![one.attribute.clone()]);
+    }
+
+    /// A narrow kind and a wide one as the wide one.
+    fn widen(&mut self, narrow: usize, attribute: &Attribute, wide: &Member<'_>) {
+        let name = &attribute.name;
+        self.notes.push(match attribute.ty {
+            ScalarType::U8 => format!("{name} of 8 bits became 16 bits: times {DEEPER}"),
+            _ => format!("{name} in whole degrees became steps of 0.006 degrees, rounded"),
+        });
+        let kinds = vec![wide.attribute.clone(), attribute.clone()];
+        self.put(wide.attribute, Made::Widened { narrow, wide: wide.column }, kinds);
+    }
+
+    /// Several scalings and no-data values as one, or each for itself where one column can't hold them.
+    fn join(&mut self, snapshot: &Snapshot, several: &[&Member<'_>]) {
+        if let Some((attribute, column)) = joined(snapshot, several) {
+            let kinds = several.iter().map(|m| m.attribute.clone()).collect();
+            self.notes.push(column.note(&attribute));
+            self.put(&attribute, Made::Joined(column), kinds);
+            return;
+        }
+        let name = several.first().map_or("", |m| &m.attribute.name);
+        self.notes.push(format!(
+            "{name} has another scale, offset or no-data value in some scans, and too many digits to be one column: each kind \
+             has its own"
+        ));
+        several.iter().for_each(|one| self.keep(one));
     }
 }
 

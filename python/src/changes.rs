@@ -151,8 +151,30 @@ impl Listener {
     }
 }
 
-/// Runs a change, tells how far it is, and gives its report as JSON.
+/// As [`run`], of a change. What the listener raises where the change is committed already says so.
 fn change<R: Serialize + Send>(
+    py: Python<'_>,
+    listener: &Listener,
+    work: impl FnOnce(&dyn Progress) -> Result<R, IngestError> + Send,
+) -> PyResult<String> {
+    let is_committed = AtomicBool::new(false);
+    let noted = |told: &dyn Progress| {
+        let done = work(told);
+        is_committed.store(done.is_ok(), Ordering::Relaxed);
+        done
+    };
+    run(py, listener, noted).inspect_err(|raised| {
+        if is_committed.load(Ordering::Relaxed) {
+            // Python has notes from 3.11 on; without them the exception is as it was raised.
+            let _ = raised
+                .value(py)
+                .call_method1("add_note", ("esker: the change was complete by then, and is committed",));
+        }
+    })
+}
+
+/// Runs work, tells how far it is, and gives its report as JSON.
+fn run<R: Serialize + Send>(
     py: Python<'_>,
     listener: &Listener,
     work: impl FnOnce(&dyn Progress) -> Result<R, IngestError> + Send,
@@ -243,7 +265,7 @@ pub fn merge(
 /// The two hashes of what a store holds.
 #[pyfunction]
 pub fn digest(py: Python<'_>, path: PathBuf, wishes: Wishes, listener: Listener) -> PyResult<String> {
-    change(py, &listener, |told| {
+    run(py, &listener, |told| {
         let digest = library::digest(&path, &wishes.resources(), told)?;
         Ok([("points", digest.points.to_string()), ("scans", digest.scans.to_string())])
     })

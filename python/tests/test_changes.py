@@ -1,5 +1,6 @@
 """Stores change under those who read them, and tell how far they are."""
 
+import sys
 import threading
 
 import esker
@@ -89,13 +90,45 @@ def test_progress_is_told_and_what_it_raises_stops_the_ingest(tmp_path, large):
     assert esker.ingest(tmp_path / "b.esker", large.files)["points"] == 1_000_000
 
 
+def test_what_progress_raises_when_all_is_committed_says_so(tmp_path, scans):
+    # The exception alone looked as if nothing had been kept.
+    def refuse(stage, done, total):
+        raise RuntimeError("enough")
+
+    # It ends before progress is told for the first time.
+    (tmp_path / "one.xyz").write_text("1 2 3\n")
+    with pytest.raises(RuntimeError, match="enough") as raised:
+        esker.ingest(tmp_path / "a.esker", tmp_path / "one.xyz", progress=refuse)
+    if sys.version_info >= (3, 11):
+        assert raised.value.__notes__ == ["esker: the change was complete by then, and is committed"]
+    with esker.open(tmp_path / "a.esker") as store:
+        assert len(store) == 1
+
+
+def test_keywords_of_a_change_are_checked_by_name(tmp_path, scans):
+    wrong = {
+        "threads": (-1, ValueError),
+        "memory": (0, ValueError),
+        "name": (5, TypeError),
+        "columns": ([1.5], TypeError),
+        "crs": (25832, TypeError),
+    }
+    for word, (value, error) in wrong.items():
+        with pytest.raises(error, match=f"^{word} "):
+            esker.ingest(tmp_path / "s.esker", scans[0], **{word: value})
+    (tmp_path / "rows.txt").write_text("7 1 2 3\n8 5 6 7\n")
+    esker.ingest(tmp_path / "t.esker", tmp_path / "rows.txt", columns="-,x,z,y")
+    with esker.open(tmp_path / "t.esker") as store:
+        assert sorted(store.query()["z"]) == [2.0, 6.0]
+
+
 def test_a_second_writer_is_refused(tmp_path, large, scans):
     esker.ingest(tmp_path / "a.esker", scans[0])
     refused = []
 
     def meanwhile(stage, done, total):
         if stage == "building" and not refused:
-            with pytest.raises(esker.InUseError):
+            with pytest.raises(esker.InUseError, match="being written by this process already"):
                 esker.ingest(tmp_path / "a.esker", scans[1])
             refused.append(stage)
 

@@ -95,11 +95,11 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// Another writer has it, in this or another process.
-    #[error("{path}: is being written by another process{owner}; wait until it is finished, or give --wait")]
+    #[error("{path}: is being written by {owner}; wait until it is finished, or give --wait")]
     InUse {
         /// The store.
         path: PathBuf,
-        /// Empty, or ` (process N)`.
+        /// `another process (process N)`, or another writer in this one.
         owner: String,
     },
     /// The file has several names: a log would lie beside one of them, and who comes by another would not see it.

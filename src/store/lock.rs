@@ -6,6 +6,9 @@ use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
+/// What messages call another writer of this process.
+pub(super) const WRITER_HERE: &str = "this process already";
+
 /// Held by the one writer of a store.
 #[derive(Debug)]
 pub(crate) struct WriterLock {
@@ -39,7 +42,11 @@ impl WriterLock {
                 Err(TryLockError::WouldBlock) => {
                     let mut owner = String::new();
                     let _ = (&file).take(20).read_to_string(&mut owner);
-                    let owner = owner.trim().parse::<u32>().map_or(String::new(), |id| format!(" (process {id})"));
+                    let owner = match owner.trim().parse::<u32>() {
+                        Ok(id) if id == std::process::id() => WRITER_HERE.into(),
+                        Ok(id) => format!("another process (process {id})"),
+                        Err(_) => "another process".into(),
+                    };
                     return Err(StoreError::InUse { path: store.to_path_buf(), owner });
                 }
                 Err(TryLockError::Error(source)) => {
@@ -112,7 +119,7 @@ mod tests {
         let lock = WriterLock::take(&store).unwrap();
         assert!(WriterLock::is_taken(&store));
         let error = WriterLock::take(&store).unwrap_err().to_string();
-        assert!(error.contains("a.esker") && error.contains(&std::process::id().to_string()), "{error}");
+        assert!(error.contains("a.esker: is being written by this process already"), "{error}");
         drop(lock);
         assert!(!WriterLock::is_taken(&store));
         drop(WriterLock::take(&store).unwrap());

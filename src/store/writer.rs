@@ -9,7 +9,7 @@ use super::error::{RowError, StoreError};
 use super::files::{self, remove_spills, wal_bytes};
 use super::flip::{Flip, flip};
 use super::interrupt::{patiently, unless};
-use super::lock::WriterLock;
+use super::lock::{WRITER_HERE, WriterLock};
 use super::log::{self, Checkpoint};
 use super::model::{FIRST_ATTRIBUTE, SLOT_PACKED, SLOT_STRIDE, ScanId, Site, Slot, StoredAttribute};
 use super::place::{Place, lock};
@@ -106,7 +106,7 @@ impl Writer {
             }
             Place::Memory(memory) => {
                 if std::mem::replace(&mut *lock(&memory.writer), true) {
-                    return Err(StoreError::InUse { path: place.path().into(), owner: String::new() });
+                    return Err(StoreError::InUse { path: place.path().into(), owner: WRITER_HERE.into() });
                 }
                 (None, None)
             }

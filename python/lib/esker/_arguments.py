@@ -47,6 +47,14 @@ def whole(value, what):
         raise TypeError(f"{what} must be a whole number, not {value!r}") from None
 
 
+def count(value, what):
+    """A whole number from 1 up."""
+    value = whole(value, what)
+    if value < 1:
+        raise ValueError(f"{what} is {value}; it must be 1 or more")
+    return value
+
+
 def names(value, what):
     """A list of strings: several, or one alone."""
     value = _names(value, what)
@@ -252,21 +260,26 @@ def changes(
     """All keywords of a change."""
     if crs is not None and not isinstance(crs, str):
         # pyproj's and others' objects.
+        if not hasattr(crs, "to_wkt"):
+            raise TypeError(f"crs must be a string or an object with to_wkt, not {crs!r}")
         crs = crs.to_wkt()
+    if isinstance(columns, str):
+        # As on the command line.
+        columns = columns.split(",")
     return {
         "quantum": per_axis(quantum),
         "phase": per_axis(phase),
         "lattice": lattice,
-        "memory": None if memory is None else whole(memory, "memory"),
-        "threads": None if threads is None else whole(threads, "threads"),
+        "memory": None if memory is None else count(memory, "memory"),
+        "threads": None if threads is None else count(threads, "threads"),
         "crs": crs,
-        "ignore_crs": ignore_crs,
-        "name": name,
+        "ignore_crs": bool(ignore_crs),
+        "name": text(name, "name"),
         "poses": [_matrix(pose) for pose in poses],
-        "columns": None if columns is None else ",".join(columns),
-        "recursive": recursive,
-        "strict": strict,
-        "wait": wait,
+        "columns": None if columns is None else ",".join(names(columns, "columns")),
+        "recursive": bool(recursive),
+        "strict": bool(strict),
+        "wait": bool(wait),
     }
 
 

@@ -289,7 +289,7 @@ class Reader:
         >>> len(first)
         1000
         """
-        size = _count(size, "size")
+        size = _arguments.count(size, "size")
         options = self._asked(keywords)
         return Batches(self._reader.batches(options, size), options["masked"])
 
@@ -333,7 +333,7 @@ class Reader:
         places = _arguments.places(points)
         options = self._asked(keywords)
         radius = _arguments.number(radius, "radius")
-        found = self._reader.nearest(options, places, _count(k, "k"), radius)
+        found = self._reader.nearest(options, places, _arguments.count(k, "k"), radius)
         return Neighbors(found[0], options["masked"], *found[1:])
 
     def density(self, side: float, **keywords: Unpack[QueryKeywords]) -> Density:
@@ -578,7 +578,8 @@ def ingest(
         Look into folders below; refuse truncated files.
     ``progress``
         Called with the stage (``"reading"``, ``"building"``, ...), the points done and the points of the stage, some ten
-        times a second. What it raises stops the ingest.
+        times a second, and once at the end. What it raises stops the ingest, and is raised again. If all was committed by
+        then it stays, and a note of the exception (Python 3.11) says so.
 
     >>> report = esker.ingest(folder + "/new.esker", folder + "/site_1.las", name="first")
     >>> [(scan["name"], scan["stored"], scan["positions"]) for scan in report["scans"]]
@@ -622,13 +623,6 @@ def generate(
     options = {"seed": seed, "scans": scans, "laz": laz, "force": force}
     files = _esker.generate(kind, _arguments.whole(points, "points"), output, options)
     return [os.fspath(path) for path, _ in files]
-
-
-def _count(value: Union[int, float], what: str) -> int:
-    value = _arguments.whole(value, what)
-    if value < 1:
-        raise ValueError(f"{what} is {value}; it must be 1 or more")
-    return value
 
 
 class _Listener:

@@ -8,8 +8,14 @@ use super::time::Times;
 
 /// A field with a layer of its own.
 pub trait Field {
-    /// Decodes the field of a record that the first layer's decoder has marked.
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]);
+    /// What the first symbol of a record says.
+    type Begun: Copy + Default;
+
+    /// Decodes the first symbol of the field of a record that the first layer's decoder has marked.
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> Self::Begun;
+
+    /// Decodes the rest.
+    fn finish(&mut self, coder: &mut Coder<'_>, mark: &Mark, begun: Self::Begun, record: &mut [u8]);
 
     /// Gives a record what the first one has, as all do.
     fn repeat(&mut self, mark: &Mark, record: &mut [u8]);
@@ -27,18 +33,27 @@ impl<F: Field> Layer<F> {
         Self { field, state }
     }
 
-    /// Gives a record its field.
-    #[inline(always)]
-    pub fn record(&mut self, chunk: &[u8], mark: &Mark, record: &mut [u8]) {
-        match &mut self.state {
-            Some(state) => self.field.record(&mut Coder::new(chunk, state), mark, record),
-            None => self.field.repeat(mark, record),
-        }
-    }
-
     /// Has more been read than the layer has?
     pub fn is_exhausted(&self) -> bool {
         self.state.is_some_and(|state| state.is_exhausted())
+    }
+
+    /// Begins to decode a record's field.
+    #[inline(always)]
+    pub fn begin(&mut self, chunk: &[u8], mark: &Mark) -> F::Begun {
+        match &mut self.state {
+            Some(state) => self.field.begin(&mut Coder::new(chunk, state), mark),
+            None => F::Begun::default(),
+        }
+    }
+
+    /// Gives the record its field.
+    #[inline(always)]
+    pub fn finish(&mut self, chunk: &[u8], mark: &Mark, begun: F::Begun, record: &mut [u8]) {
+        match &mut self.state {
+            Some(state) => self.field.finish(&mut Coder::new(chunk, state), mark, begun, record),
+            None => self.field.repeat(mark, record),
+        }
     }
 }
 
@@ -80,11 +95,19 @@ impl Heights {
 }
 
 impl Field for Heights {
+    type Begun = u32;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
-        let (last, levels, differences) = self.0.of(mark.channel, |(last, ..)| Self::after(*last));
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> u32 {
+        let (_, _, differences) = self.0.of(mark.channel, |(last, ..)| Self::after(*last));
+        differences.begin(coder, mark.height.into())
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, coder: &mut Coder<'_>, mark: &Mark, bits: u32, record: &mut [u8]) {
+        let (last, levels, differences) = self.0.current();
         let level = &mut levels[usize::from(mark.level % 8)];
-        *level = level.wrapping_add(differences.next(coder, mark.height.into()).0);
+        *level = level.wrapping_add(differences.finish(coder, bits));
         *last = *level;
         put(record, 8, last.to_le_bytes());
     }
@@ -104,12 +127,19 @@ impl Classes {
 }
 
 impl Field for Classes {
+    type Begun = u8;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> u8 {
         let (last, models) = self.0.of(mark.channel, |(last, _)| (*last, Models::new()));
         let context = usize::from(*last & 31) << 1 | usize::from(mark.place == 3);
         *last = coder.symbol(models.at(context, || Model256::new(256))) as u8;
-        record[16] = *last;
+        *last
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, _: &mut Coder<'_>, _: &Mark, class: u8, record: &mut [u8]) {
+        record[16] = class;
     }
 
     fn repeat(&mut self, _: &Mark, record: &mut [u8]) {
@@ -132,11 +162,18 @@ impl Flags {
 }
 
 impl Field for Flags {
+    type Begun = u8;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> u8 {
         let (last, models) = self.0.of(mark.channel, |(last, _)| (*last, Models::new()));
         *last = coder.symbol(models.at((*last).into(), || Model64::new(64))) as u8;
-        Self::put(*last, mark, record);
+        *last
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, _: &mut Coder<'_>, mark: &Mark, flags: u8, record: &mut [u8]) {
+        Self::put(flags, mark, record);
     }
 
     fn repeat(&mut self, mark: &Mark, record: &mut [u8]) {
@@ -158,11 +195,19 @@ impl Intensities {
 }
 
 impl Field for Intensities {
+    type Begun = u32;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
-        let (last, lasts, differences) = self.0.of(mark.channel, |(last, ..)| Self::after(*last));
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> u32 {
+        let (_, _, differences) = self.0.of(mark.channel, |(last, ..)| Self::after(*last));
+        differences.begin(coder, mark.place.into())
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, coder: &mut Coder<'_>, mark: &Mark, bits: u32, record: &mut [u8]) {
+        let (last, lasts, differences) = self.0.current();
         let of_kind = &mut lasts[usize::from(mark.place % 4) << 1 | usize::from(mark.time_changed)];
-        *of_kind = of_kind.wrapping_add(differences.next(coder, mark.place.into()).0 as u16);
+        *of_kind = of_kind.wrapping_add(differences.finish(coder, bits) as u16);
         *last = *of_kind;
         put(record, 12, last.to_le_bytes());
     }
@@ -208,7 +253,11 @@ impl Angles {
 }
 
 impl Field for Angles {
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
+    type Begun = ();
+
+    fn begin(&mut self, _: &mut Coder<'_>, _: &Mark) {}
+
+    fn finish(&mut self, coder: &mut Coder<'_>, mark: &Mark, (): (), record: &mut [u8]) {
         self.0.record(coder, mark.channel, mark.angle_changed, mark.time_changed.into(), record);
     }
 
@@ -227,8 +276,12 @@ impl PointSources {
 }
 
 impl Field for PointSources {
+    type Begun = ();
+
+    fn begin(&mut self, _: &mut Coder<'_>, _: &Mark) {}
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
+    fn finish(&mut self, coder: &mut Coder<'_>, mark: &Mark, (): (), record: &mut [u8]) {
         self.0.record(coder, mark.channel, mark.source_changed, 0, record);
     }
 
@@ -247,11 +300,18 @@ impl UserData {
 }
 
 impl Field for UserData {
+    type Begun = u8;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> u8 {
         let (last, models) = self.0.of(mark.channel, |(last, _)| (*last, Models::new()));
         *last = coder.symbol(models.at(usize::from(*last / 4), || Model256::new(256))) as u8;
-        record[17] = *last;
+        *last
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, _: &mut Coder<'_>, _: &Mark, data: u8, record: &mut [u8]) {
+        record[17] = data;
     }
 
     fn repeat(&mut self, _: &Mark, record: &mut [u8]) {
@@ -270,11 +330,19 @@ impl GpsTimes {
 }
 
 impl Field for GpsTimes {
+    type Begun = usize;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
-        let (last, times) = self.0.of(mark.channel, |(last, _)| (*last, Times::new(*last)));
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> usize {
+        let (_, times) = self.0.of(mark.channel, |(last, _)| (*last, Times::new(*last)));
+        if mark.time_changed { times.begin(coder) } else { 0 }
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, coder: &mut Coder<'_>, mark: &Mark, code: usize, record: &mut [u8]) {
+        let (last, times) = self.0.current();
         if mark.time_changed {
-            *last = times.next(coder);
+            *last = times.finish(coder, code);
         }
         put(record, 22, last.to_le_bytes());
     }

@@ -26,23 +26,35 @@ impl Differences {
     }
 
     /// The next difference, and how many bits it takes.
+    #[inline(always)]
+    pub fn next(&mut self, coder: &mut Coder<'_>, context: usize) -> (i32, u32) {
+        let bits = self.begin(coder, context);
+        (self.finish(coder, bits), bits)
+    }
+
+    /// How many bits the next difference takes.
+    #[inline(always)]
+    pub fn begin(&mut self, coder: &mut Coder<'_>, context: usize) -> u32 {
+        coder.symbol(&mut self.magnitudes[context]) as u32
+    }
+
+    /// The next difference, which takes so many bits.
     ///
     /// How many cannot be foretold, so there is one way for all numbers of bits but 0 and 32.
     #[inline(always)]
-    pub fn next(&mut self, coder: &mut Coder<'_>, context: usize) -> (i32, u32) {
-        let bits = coder.symbol(&mut self.magnitudes[context]) as u32;
+    pub fn finish(&mut self, coder: &mut Coder<'_>, bits: u32) -> i32 {
         if bits == 0 {
-            return (i32::from(coder.bit(&mut self.smallest)), 0);
+            return i32::from(coder.bit(&mut self.smallest));
         }
         // A magnitude is at most the number of bits that there are models for; 32 bits are one value only.
         let model = self.upper.get_mut(bits as usize - 1).filter(|_| bits < 32);
-        let Some(model) = model else { return (i32::MIN, bits) };
+        let Some(model) = model else { return i32::MIN };
         let rest = bits.saturating_sub(MODELLED_BITS);
         let upper = coder.symbol(model) as u32;
         let stored = upper << rest | coder.bits(rest);
         // 0 and 1 have a magnitude of their own, so that positive differences move up by one.
         let is_negative = u32::from(stored < 1 << (bits - 1));
         let difference = stored.wrapping_add(1).wrapping_sub(is_negative << bits);
-        (difference as i32, bits)
+        difference as i32
     }
 }

@@ -18,11 +18,10 @@ impl<T: Copy> Lasts<T> {
         Self { followed: Followed::new(version, channel), values: [first; 4], at }
     }
 
-    /// The channel whose models a record uses, and the value that it follows.
+    /// The channel whose models a record uses, and that whose value it follows.
     #[inline(always)]
-    fn step(&mut self, mark: &Mark) -> (usize, &mut T) {
-        let (models, follows) = self.followed.step(mark, &mut self.values);
-        (models, &mut self.values[follows])
+    fn step(&mut self, mark: &Mark) -> (usize, usize) {
+        self.followed.step(mark, &mut self.values)
     }
 }
 
@@ -67,15 +66,24 @@ fn put_color(color: [u16; 3], record: &mut [u8], at: usize) {
 }
 
 impl Field for Colors {
+    /// The channel whose models are used, that whose value is followed, and what changes.
+    type Begun = (usize, usize, usize);
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
-        let at = self.lasts.at;
-        let (channel, last) = self.lasts.step(mark);
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> Self::Begun {
+        let (channel, follows) = self.lasts.step(mark);
         let models = self.models.of(channel, || ColorModels {
             changes: Model128::new(128),
             bytes: std::array::from_fn(|_| Model256::new(256)),
         });
-        let changes = coder.symbol(&mut models.changes);
+        (channel, follows, coder.symbol(&mut models.changes))
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, coder: &mut Coder<'_>, _: &Mark, (channel, follows, changes): Self::Begun, record: &mut [u8]) {
+        let at = self.lasts.at;
+        let last = &mut self.lasts.values[follows % 4];
+        let Some(models) = &mut self.models.0[channel % 4] else { return };
         let is_gray = changes & 1 << 6 == 0;
         let [old_red, old_green, old_blue] = last.map(u16::to_le_bytes);
         let mut byte = |which: usize, predicted: u8, old: u8| {
@@ -126,15 +134,24 @@ impl Infrared {
 }
 
 impl Field for Infrared {
+    /// The channel whose models are used, that whose value is followed, and what changes.
+    type Begun = (usize, usize, usize);
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
-        let at = self.lasts.at;
-        let (channel, value) = self.lasts.step(mark);
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> Self::Begun {
+        let (channel, follows) = self.lasts.step(mark);
         let models = self.models.of(channel, || InfraredModels {
             changes: Model16::new(4),
             bytes: std::array::from_fn(|_| Model256::new(256)),
         });
-        let changes = coder.symbol(&mut models.changes);
+        (channel, follows, coder.symbol(&mut models.changes))
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, coder: &mut Coder<'_>, _: &Mark, (channel, follows, changes): Self::Begun, record: &mut [u8]) {
+        let at = self.lasts.at;
+        let value = &mut self.lasts.values[follows % 4];
+        let Some(models) = &mut self.models.0[channel % 4] else { return };
         for (bit, (byte, model)) in value.iter_mut().zip(&mut models.bytes).enumerate() {
             if changes & 1 << bit != 0 {
                 *byte = byte.wrapping_add(coder.symbol(model) as u8);
@@ -162,12 +179,19 @@ impl ExtraByte {
 }
 
 impl Field for ExtraByte {
+    type Begun = u8;
+
     #[inline(always)]
-    fn record(&mut self, coder: &mut Coder<'_>, mark: &Mark, record: &mut [u8]) {
-        let at = self.lasts.at;
-        let (channel, value) = self.lasts.step(mark);
+    fn begin(&mut self, coder: &mut Coder<'_>, mark: &Mark) -> u8 {
+        let (channel, follows) = self.lasts.step(mark);
+        let value = &mut self.lasts.values[follows % 4];
         *value = value.wrapping_add(coder.symbol(self.models.of(channel, || Model256::new(256))) as u8);
-        record[at] = *value;
+        *value
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, _: &mut Coder<'_>, _: &Mark, value: u8, record: &mut [u8]) {
+        record[self.lasts.at] = value;
     }
 
     fn repeat(&mut self, _: &Mark, record: &mut [u8]) {

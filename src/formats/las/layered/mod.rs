@@ -121,7 +121,8 @@ impl Layers {
 /// A chunk that is being decoded.
 ///
 /// A layer is one long chain of steps that each wait for the last, but it waits for no other layer than the first. So all are
-/// decoded record by record, for a processor to work on several of them at a time.
+/// decoded record by record, for a processor to work on several of them at a time: the first symbols of all fields, which
+/// nothing has to be known for, then the rest, and between them, step by step, the first layer of the record after.
 pub struct Chunk {
     bytes: Vec<u8>,
     stride: usize,
@@ -160,25 +161,48 @@ impl Chunk {
         let Some(state) = &mut self.first_layer else { return false };
         let bytes = &self.bytes[..];
         let mut coder = Coder::new(bytes, state);
-        for record in out.chunks_exact_mut(self.stride) {
-            let mark = self.points.record(&mut coder, record);
-            self.heights.record(bytes, &mark, record);
-            self.classes.record(bytes, &mark, record);
-            self.flags.record(bytes, &mark, record);
-            self.intensities.record(bytes, &mark, record);
-            self.angles.record(bytes, &mark, record);
-            self.user_data.record(bytes, &mark, record);
-            self.sources.record(bytes, &mark, record);
-            self.times.record(bytes, &mark, record);
-            if let Some(colors) = &mut self.colors {
-                colors.record(bytes, &mark, record);
+        let Some((first, mut rest)) = out.split_at_mut_checked(self.stride) else { return true };
+        let mut record = first;
+        let mut mark = self.points.record(&mut coder, record);
+        loop {
+            let next = rest.split_at_mut_checked(self.stride);
+            let changes = next.is_some().then(|| self.points.begin(&mut coder));
+            let height = self.heights.begin(bytes, &mark);
+            let class = self.classes.begin(bytes, &mark);
+            let flags = self.flags.begin(bytes, &mark);
+            let mut open = changes.map(|changes| self.points.begin_x(&mut coder, changes));
+            let intensity = self.intensities.begin(bytes, &mark);
+            let user_data = self.user_data.begin(bytes, &mark);
+            let time = self.times.begin(bytes, &mark);
+            let color = self.colors.as_mut().map(|colors| colors.begin(bytes, &mark)).unwrap_or_default();
+            let infrared = self.infrared.as_mut().map(|infrared| infrared.begin(bytes, &mark)).unwrap_or_default();
+            if let Some(open) = &open {
+                self.points.finish_x(&mut coder, open);
             }
-            if let Some(infrared) = &mut self.infrared {
-                infrared.record(bytes, &mark, record);
+            self.heights.finish(bytes, &mark, height, record);
+            self.classes.finish(bytes, &mark, class, record);
+            self.flags.finish(bytes, &mark, flags, record);
+            if let Some(open) = &mut open {
+                self.points.begin_y(&mut coder, open);
+            }
+            self.intensities.finish(bytes, &mark, intensity, record);
+            self.angles.finish(bytes, &mark, (), record);
+            self.user_data.finish(bytes, &mark, user_data, record);
+            self.sources.finish(bytes, &mark, (), record);
+            self.times.finish(bytes, &mark, time, record);
+            if let Some(colors) = &mut self.colors {
+                colors.finish(bytes, &mark, color, record);
+            }
+            if let Some(layer) = &mut self.infrared {
+                layer.finish(bytes, &mark, infrared, record);
             }
             for extra in &mut self.extra {
-                extra.record(bytes, &mark, record);
+                let value = extra.begin(bytes, &mark);
+                extra.finish(bytes, &mark, value, record);
             }
+            let (Some((next, after)), Some(open)) = (next, open) else { break };
+            mark = self.points.finish_y(&mut coder, open, next);
+            (record, rest) = (next, after);
         }
         !self.is_exhausted()
     }

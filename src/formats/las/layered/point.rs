@@ -106,14 +106,19 @@ impl Points {
         Self { version, channels: Channels::new(channel_of(first), Channel::after(x, y, first[14])) }
     }
 
-    /// Decodes what it has of a record.
+    /// Begins a record: what changes from the one before.
     #[inline(always)]
-    pub fn record(&mut self, coder: &mut Coder<'_>, record: &mut [u8]) -> Mark {
-        let mut mark = Mark::default();
+    pub fn begin(&mut self, coder: &mut Coder<'_>) -> usize {
         let before = self.channels.current();
         let (r, n) = (before.returns & 15, before.returns >> 4);
         let context = usize::from(r == 1) | usize::from(r >= n) << 1 | usize::from(before.time_changed) << 2;
-        let changes = coder.symbol(&mut before.changes[context]);
+        coder.symbol(&mut before.changes[context])
+    }
+
+    /// Decodes channel and returns, and begins X.
+    #[inline(always)]
+    pub fn begin_x(&mut self, coder: &mut Coder<'_>, changes: usize) -> Open {
+        let mut mark = Mark::default();
         let mut number = self.channels.channel();
         let switches = changes & 1 << 6 != 0;
         if switches {
@@ -146,24 +151,62 @@ impl Points {
         let single = n == 1;
         let context =
             usize::from(STEP_CONTEXTS[usize::from(n % 16)][usize::from(r)]) << 1 | usize::from(mark.time_changed);
-        let steps = &mut channel.x_steps[context];
-        let (difference, x_bits) = channel.dx.next(coder, single.into());
-        let step = steps.get().wrapping_add(difference);
+        let x_bits = channel.dx.begin(coder, single.into());
+        Open { mark, single, context, x_bits, y_bits: 0 }
+    }
+
+    /// Decodes the rest of X.
+    #[inline(always)]
+    pub fn finish_x(&mut self, coder: &mut Coder<'_>, open: &Open) {
+        let channel = self.channels.current();
+        let steps = &mut channel.x_steps[open.context % 12];
+        let step = steps.get().wrapping_add(channel.dx.finish(coder, open.x_bits));
         steps.add(step);
         channel.x = channel.x.wrapping_add(step);
+    }
 
-        let steps = &mut channel.y_steps[context];
-        let (difference, y_bits) = channel.dy.next(coder, by_magnitude(x_bits, 20, single));
-        let step = steps.get().wrapping_add(difference);
+    /// Begins Y.
+    #[inline(always)]
+    pub fn begin_y(&mut self, coder: &mut Coder<'_>, open: &mut Open) {
+        let channel = self.channels.current();
+        open.y_bits = channel.dy.begin(coder, by_magnitude(open.x_bits, 20, open.single));
+    }
+
+    /// Decodes the rest of Y, and gives the record what the layer has of it.
+    #[inline(always)]
+    pub fn finish_y(&mut self, coder: &mut Coder<'_>, open: Open, record: &mut [u8]) -> Mark {
+        let Open { mark, single, context, x_bits, y_bits } = open;
+        let channel = self.channels.current();
+        let steps = &mut channel.y_steps[context % 12];
+        let step = steps.get().wrapping_add(channel.dy.finish(coder, y_bits));
         steps.add(step);
         channel.y = channel.y.wrapping_add(step);
-        mark.height = by_magnitude(x_bits.midpoint(y_bits), 18, single) as u8;
 
         record[..4].copy_from_slice(&channel.x.to_le_bytes());
         record[4..8].copy_from_slice(&channel.y.to_le_bytes());
         record[14] = channel.returns;
-        mark
+        Mark { height: by_magnitude(x_bits.midpoint(y_bits), 18, single) as u8, ..mark }
     }
+
+    /// Decodes what it has of a record.
+    pub fn record(&mut self, coder: &mut Coder<'_>, record: &mut [u8]) -> Mark {
+        let changes = self.begin(coder);
+        let mut open = self.begin_x(coder, changes);
+        self.finish_x(coder, &open);
+        self.begin_y(coder, &mut open);
+        self.finish_y(coder, open, record)
+    }
+}
+
+/// A record of which X and Y are being decoded.
+pub struct Open {
+    mark: Mark,
+    /// Is it the only return of its pulse?
+    single: bool,
+    /// Of the steps in X and Y.
+    context: usize,
+    x_bits: u32,
+    y_bits: u32,
 }
 
 /// The scanner channel in a record's flags.

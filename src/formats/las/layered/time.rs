@@ -46,23 +46,33 @@ impl Times {
         self.last[self.current % 4]
     }
 
-    /// The bits of the next time, which differs from the last.
-    pub fn next(&mut self, coder: &mut Coder<'_>) -> i64 {
+    /// The code of the next time, which differs from the last.
+    #[inline(always)]
+    pub fn begin(&mut self, coder: &mut Coder<'_>) -> usize {
+        if self.difference[self.current % 4] == 0 {
+            coder.symbol(&mut self.first)
+        } else {
+            coder.symbol(&mut self.multiples)
+        }
+    }
+
+    /// The bits of the next time, which has this code.
+    pub fn finish(&mut self, coder: &mut Coder<'_>, mut code: usize) -> i64 {
         // A code may name another sequence, where the time follows; what is damaged can do so for ever.
         while !coder.is_exhausted() {
             let at = self.current % 4;
-            let sequences_on = if self.difference[at] == 0 { self.without(coder, at) } else { self.with(coder, at) };
-            match sequences_on {
-                Some(on) => self.current = (self.current + on) % 4,
-                None => break,
-            }
+            let sequences_on =
+                if self.difference[at] == 0 { self.without(coder, at, code) } else { self.with(coder, at, code) };
+            let Some(on) = sequences_on else { break };
+            self.current = (self.current + on) % 4;
+            code = self.begin(coder);
         }
         self.bits()
     }
 
     /// A time of a sequence that has no difference yet; else how many sequences further it is.
-    fn without(&mut self, coder: &mut Coder<'_>, at: usize) -> Option<usize> {
-        match coder.symbol(&mut self.first) {
+    fn without(&mut self, coder: &mut Coder<'_>, at: usize, code: usize) -> Option<usize> {
+        match code {
             0 => {
                 self.difference[at] = self.differences.next(coder, 0).0;
                 self.advance(at, self.difference[at]);
@@ -78,8 +88,8 @@ impl Times {
     }
 
     /// The same for a sequence that has one.
-    fn with(&mut self, coder: &mut Coder<'_>, at: usize) -> Option<usize> {
-        let code = coder.symbol(&mut self.multiples) as i32;
+    fn with(&mut self, coder: &mut Coder<'_>, at: usize, code: usize) -> Option<usize> {
+        let code = code as i32;
         if code > WHOLE {
             return Some((code - WHOLE) as usize);
         }

@@ -155,6 +155,14 @@ impl Refused {
 
 /// Opens a store and checks that it is one of a known version.
 pub(super) fn open(path: &Path, purpose: Purpose) -> Result<Connection, Refused> {
+    let opened = try_open(path, purpose);
+    if matches!(opened, Err(Refused::Full)) && wal_bytes(path) == 0 {
+        remove_index(path);
+    }
+    opened
+}
+
+fn try_open(path: &Path, purpose: Purpose) -> Result<Connection, Refused> {
     let refused = |e: RowError| Refused::of(e, path);
     if purpose != Purpose::Immutable && has_journal(path) {
         check_journal(path).map_err(Refused::Store)?;
@@ -194,10 +202,7 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouc
         // No shared memory can be made beside it.
         Err(Refused::Place) if had_wal || has_journal(path) => Err(StoreError::NeedsRecovery { path: path_buf() }),
         Err(Refused::Full) if had_wal || has_journal(path) => Err(StoreError::Full { path: path_buf() }),
-        Err(refused @ (Refused::Place | Refused::Full)) => {
-            if matches!(refused, Refused::Full) {
-                remove_index(path);
-            }
+        Err(Refused::Place | Refused::Full) => {
             let untouched = Untouched::of(path)?;
             let connection = open(path, Purpose::Immutable).map_err(|e| e.at(path))?;
             untouched.check(path)?;

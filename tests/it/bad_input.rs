@@ -294,6 +294,10 @@ fn a_store_on_a_full_disk_can_be_read() {
             place.nothing_there(&format!("torus.esker{suffix}"));
         }
     }
+    // Whoever writes is told, and leaves nothing either.
+    let output = esker_on_full_disk(&shim, "torus.esker", &["hide", &store, "torus"]);
+    assert!(output.status.code() == Some(1) && String::from_utf8_lossy(&output.stderr).contains("the disk is full"));
+    place.nothing_there("torus.esker-");
     // A log has to be applied, and that needs the index.
     fs::write(format!("{store}-wal"), b"some log").unwrap();
     let output = esker_on_full_disk(&shim, "torus.esker", &["query", &store, "--count"]);

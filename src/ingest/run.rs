@@ -13,7 +13,7 @@ use super::sources::{self, Source};
 use super::{IngestError, IngestOptions};
 use crate::lattice::{Decimal, Lattice};
 use crate::points::Crs;
-use crate::store::{SiteOptions, Store, StoreError, Writer};
+use crate::store::{SiteOptions, Store, StoreError, Writer, check_folder};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -53,7 +53,11 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
     // A store that is there is locked first: what is looked at then stays true.
     let mut open = match context.path.exists() && !Store::is_unfinished(context.path) {
         true => Some(opened(context, Store::open(context.path)?)?),
-        false => None,
+        false => {
+            // Before hours of reading.
+            check_folder(context.path)?;
+            None
+        }
     };
     let (stored, site_crs) = match &open {
         Some((store, _)) => {

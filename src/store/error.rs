@@ -47,6 +47,14 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
+    /// A store is made in a folder that is there.
+    #[error("{path}: the folder {folder} does not exist; create it first")]
+    NoFolder {
+        /// The store.
+        path: PathBuf,
+        /// Where it was to be.
+        folder: PathBuf,
+    },
     /// Some other file.
     #[error("{path}: is not an Esker store: {found}")]
     NotAStore {

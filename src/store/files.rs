@@ -1,5 +1,6 @@
 //! The files of a store: its own, and those that may lie beside it.
 
+use super::error::StoreError;
 use std::borrow::Cow;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -57,6 +58,28 @@ pub(super) fn remove(path: &Path) {
     }
 }
 
+/// The folder in which a file lies.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Is there a folder for it?
+///
+/// # Errors
+///
+/// [`StoreError::NoFolder`].
+pub fn check_folder(path: &Path) -> Result<(), StoreError> {
+    let folder = folder_of(path);
+    let is_missing = match std::fs::metadata(folder) {
+        Ok(there) => !there.is_dir(),
+        Err(e) => matches!(e.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory),
+    };
+    if is_missing {
+        return Err(StoreError::NoFolder { path: path.into(), folder: folder.into() });
+    }
+    Ok(())
+}
+
 /// The path of a temporary file of an ingest into this store; `tag` tells several apart. What a crash leaves of such
 /// files is removed by the next writer.
 pub fn spill_path(store: &Path, tag: &str) -> PathBuf {
@@ -68,9 +91,8 @@ pub(super) fn remove_spills(path: &Path) -> std::io::Result<u64> {
     let Some(name) = path.file_name() else { return Ok(0) };
     let mut prefix = name.to_os_string();
     prefix.push(SPILL_SUFFIX);
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut removed = 0;
-    for entry in std::fs::read_dir(folder)? {
+    for entry in std::fs::read_dir(folder_of(path))? {
         let entry = entry?;
         if entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
             std::fs::remove_file(entry.path())?;

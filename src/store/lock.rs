@@ -1,7 +1,7 @@
 //! The writer's lock: a file beside the store that the kernel unlocks when its holder ends, however it ends.
 
 use super::error::StoreError;
-use super::files::{beside, is_named_as_beside};
+use super::files::{beside, check_folder, is_named_as_beside};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -22,6 +22,7 @@ impl WriterLock {
         if is_named_as_beside(store) {
             return Err(StoreError::NameOfAnother { path: store.to_path_buf() });
         }
+        check_folder(store)?;
         let names = names(store);
         if names > 1 {
             return Err(StoreError::HardLinked { path: store.to_path_buf(), names });

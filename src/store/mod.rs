@@ -55,8 +55,8 @@ pub use encode::{
     EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, block_size, encode_node,
 };
 pub use error::StoreError;
-pub(crate) use files::followed;
 pub use files::{SPILL_SUFFIX, spill_path};
+pub(crate) use files::{check_folder, followed};
 pub use flip::{Flip, NodeChange};
 pub use handle::{SiteOptions, Store};
 pub use index::{NodeIndex, NodeIx};

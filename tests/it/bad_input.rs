@@ -230,9 +230,15 @@ fn outputs_that_exist_are_not_overwritten() {
 fn a_place_that_cannot_be_written_is_named() {
     let place = Place::new();
     let las = place.las("a.las", 10);
-    esker_fails(&["ingest", &place.path("no/such/folder/s.esker"), &las], 1, &["s.esker"]);
-    esker_fails(&["ingest", "/proc/s.esker", &las], 1, &["/proc"]);
     let store = place.store(10);
+    for nowhere in ["no/such/folder/s.esker", "a.las/s.esker"] {
+        // Before the inputs are read, also what is wrong with them.
+        let folder = place.path(nowhere.strip_suffix("/s.esker").unwrap());
+        let expected = format!("s.esker: the folder {folder} does not exist; create it first");
+        esker_fails(&["ingest", &place.path(nowhere), &place.path("none.las")], 1, &[&expected]);
+        esker_fails(&["compact", &store, "-o", &place.path(nowhere)], 1, &[&expected]);
+    }
+    esker_fails(&["ingest", "/proc/s.esker", &las], 1, &["/proc"]);
     esker_fails(&["query", &store, "-o", &place.path("no/such/out.las")], 1, &["out.las"]);
 }
 

@@ -32,7 +32,7 @@ pub(super) struct Arguments {
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// Lattice step of a new store, in CRS units: one number, or one per axis (default: the finest scale of all inputs).
-    #[arg(long, value_name = "Q[,Q,Q]", value_parser = values::per_axis)]
+    #[arg(long, value_name = "Q[,Q,Q]", value_parser = values::steps, allow_hyphen_values = true)]
     quantum: Option<[f64; 3]>,
     /// Offset of a new store's lattice, less than the quantum (default: where the inputs' own grids lie).
     #[arg(long, value_name = "P[,P,P]", value_parser = values::per_axis, allow_hyphen_values = true)]

@@ -2,7 +2,7 @@
 
 use super::which::{Which, with_attributes};
 use super::{Outcome, output, values};
-use crate::export::{self, ExportOptions, Exported, PartOf, Target, Written};
+use crate::export::{self, ExportError, ExportOptions, Exported, PartOf, Target, Written};
 use crate::formats::OutputFormat;
 use crate::geometry::Camera;
 use crate::points::Number;
@@ -73,7 +73,7 @@ pub(super) struct Arguments {
     #[arg(long, value_enum, requires = "output")]
     format: Option<Format>,
     /// LAS and LAZ: coordinates in these steps, one number or one per axis.
-    #[arg(long, value_name = "S[,S,S]", value_parser = values::per_axis, requires = "output")]
+    #[arg(long, value_name = "S[,S,S]", value_parser = values::steps, allow_hyphen_values = true, requires = "output")]
     scale: Option<[f64; 3]>,
     /// In which frame coordinates are written: the world's, or the one of the scan, where its scanner is the origin
     /// (regions and filters are always the world's).
@@ -176,6 +176,9 @@ impl From<Format> for OutputFormat {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    if arguments.split_by.is_some() && arguments.output.as_deref() == Some(Path::new("-")) {
+        return Err(ExportError::SplitOfStandardOutput.into());
+    }
     let target =
         arguments.output.as_deref().map(|path| Ok::<_, anyhow::Error>((path, format(path, arguments.format)?)));
     let target = target.transpose()?;

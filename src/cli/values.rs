@@ -48,6 +48,15 @@ pub(super) fn name(text: &str) -> Result<String, String> {
     Ok(text.into())
 }
 
+/// As [`per_axis`], of steps.
+pub(super) fn steps(text: &str) -> Result<[f64; 3], String> {
+    let steps = per_axis(text)?;
+    if steps.iter().all(|step| *step > 0.0 && step.is_finite()) {
+        return Ok(steps);
+    }
+    Err(format!("'{text}' is no positive number"))
+}
+
 /// A positive, finite number.
 pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {

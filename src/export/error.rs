@@ -40,6 +40,12 @@ pub enum ExportError {
         /// The step.
         scale: f64,
     },
+    /// The scale that was asked for is none.
+    #[error("a scale of {scale} is not usable: it must be a positive number")]
+    Scale {
+        /// The step of an axis.
+        scale: f64,
+    },
     /// Only one scan has a frame.
     #[error("the frame of a scan is for the points of one scan; name it, or split by scan")]
     FrameOfSeveral,

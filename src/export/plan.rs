@@ -26,7 +26,7 @@ pub struct Planned {
 ///
 /// # Errors
 ///
-/// [`ExportError::TooWide`]
+/// [`ExportError::TooWide`], [`ExportError::Scale`].
 pub fn plan(
     snapshot: &Snapshot,
     form: &OutputForm,
@@ -34,6 +34,10 @@ pub fn plan(
     all_attributes: bool,
     scale: Option<[f64; 3]>,
 ) -> Result<Planned, ExportError> {
+    let is_step = |step: &f64| *step > 0.0 && step.is_finite();
+    if let Some(scale) = scale.into_iter().flatten().find(|step| !is_step(step)) {
+        return Err(ExportError::Scale { scale });
+    }
     let scans: Vec<&Scan> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
     let site = snapshot.site();
     let mut notes = Vec::new();

@@ -485,6 +485,20 @@ fn options_without_effect_are_refused() {
 }
 
 #[test]
+fn steps_of_coordinates_are_positive() {
+    // A scale of 0 was too fine for points that are so wide.
+    let place = Place::new();
+    let store = place.store(10);
+    for steps in ["0", "-0.01", "0.01,0,0.01"] {
+        let expected = ["is no positive number"];
+        esker_fails(&["query", &store, "-o", &place.path("out.las"), "--scale", steps], 2, &expected);
+        esker_fails(&["ingest", &place.path("new.esker"), &place.path("torus.las"), "--quantum", steps], 2, &expected);
+    }
+    let split = ["query", &store, "--split-by", "scan", "-o", "-"];
+    esker_fails(&split, 1, &["splitting writes several files; give a file name"]);
+}
+
+#[test]
 fn a_scan_has_a_name() {
     let place = Place::new();
     let (las, store) = (place.las("a.las", 100), place.path("a.esker"));

@@ -112,10 +112,26 @@ def test_keywords_of_a_change_are_checked_by_name(tmp_path, scans):
         "name": (5, TypeError),
         "columns": ([1.5], TypeError),
         "crs": (25832, TypeError),
+        "lattice": (5, TypeError),
+        "phase": ([1, 2], ValueError),
+        "poses": ([[1, 2, 3]], TypeError),
+        "strict": ("no", TypeError),
+        "progress": (5, TypeError),
     }
     for word, (value, error) in wrong.items():
         with pytest.raises(error, match=f"^{word} "):
             esker.ingest(tmp_path / "s.esker", scans[0], **{word: value})
+    with pytest.raises(TypeError, match="^inputs must be paths, not 5"):
+        esker.ingest(tmp_path / "s.esker", 5)
+    # They were begun, one after the other, without end.
+    with pytest.raises(esker.IngestError, match="1000000 threads are too many"):
+        esker.ingest(tmp_path / "s.esker", scans[0], threads=10**6)
+    with pytest.raises(esker.IngestError, match="no stores to join"):
+        esker.merge(tmp_path / "s.esker", [])
+    for word, value in {"points": -1, "seed": -1, "scans": 0}.items():
+        keywords = {"points": 5, word: value}
+        with pytest.raises(ValueError, match=f"^{word} is {value}"):
+            esker.generate("torus", output=tmp_path / "t.las", **keywords)
     (tmp_path / "rows.txt").write_text("7 1 2 3\n8 5 6 7\n")
     esker.ingest(tmp_path / "t.esker", tmp_path / "rows.txt", columns="-,x,z,y")
     with esker.open(tmp_path / "t.esker") as store:

@@ -56,6 +56,7 @@ import pytest
         ({"polygon": [(0, 0), (1, 1), (1, 0), (0, 1)]}, esker.QueryError, "cross"),
         ({"scans": 1.5}, TypeError, "scans must be names"),
         ({"spacing": "fine"}, TypeError, "spacing must be a number"),
+        ({"raw": "no"}, TypeError, "raw must be True or False"),
     ],
 )
 def test_what_makes_no_query(site, keywords, error, message):

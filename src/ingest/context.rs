@@ -6,6 +6,9 @@ use crate::store::{Store, StoreError, Writer, followed};
 use std::path::Path;
 use std::time::Duration;
 
+/// More threads than any machine has use for.
+const MOST_THREADS: usize = 1024;
+
 /// How often a store that is in use is asked for again.
 const ASK_AGAIN: Duration = Duration::from_millis(200);
 
@@ -37,6 +40,9 @@ impl Context<'_> {
         work: impl FnOnce(&Context<'_>) -> Result<R, IngestError> + Send,
     ) -> Result<R, IngestError> {
         let threads = resources.threads.unwrap_or_else(default_threads).max(1);
+        if threads > MOST_THREADS {
+            return Err(IngestError::TooManyThreads { asked: threads, most: MOST_THREADS });
+        }
         let memory = resources.memory_bytes.unwrap_or_else(default_memory);
         // Temporary files lie beside the store itself.
         let path = &*followed(path);

@@ -22,6 +22,9 @@ pub enum IngestError {
     /// Nothing to do.
     #[error("no point file among the inputs{0}")]
     NoInput(String),
+    /// Nothing to join.
+    #[error("no stores to join; give one at least")]
+    NoStores,
     /// One name for several scans.
     #[error("--name names one scan; give one input of one scan with it")]
     NameOfMany,
@@ -164,6 +167,14 @@ pub enum IngestError {
         action: &'static str,
         /// The system's word.
         source: std::io::Error,
+    },
+    /// More than any machine has use for; starting them would take for ever.
+    #[error("{asked} threads are too many; {most} are the most")]
+    TooManyThreads {
+        /// So many were asked for.
+        asked: usize,
+        /// So many there may be.
+        most: usize,
     },
     /// Threads could not be started.
     #[error("starting the worker threads failed: {0}")]

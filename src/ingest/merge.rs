@@ -102,7 +102,7 @@ fn left_by_a_crash(out: &Path) -> Result<Option<Writer>, IngestError> {
 /// The site of them all.
 fn agreed(shards: &[Shard]) -> Result<Site, IngestError> {
     let Some(first) = shards.first() else {
-        return Err(IngestError::Internal("no stores to join".into()));
+        return Err(IngestError::NoStores);
     };
     let mut site = first.snapshot.site().clone();
     for shard in &shards[1..] {

@@ -47,12 +47,37 @@ def whole(value, what):
         raise TypeError(f"{what} must be a whole number, not {value!r}") from None
 
 
-def count(value, what):
-    """A whole number from 1 up."""
+def count(value, what, least=1):
+    """A whole number from 1 up, or from another."""
     value = whole(value, what)
-    if value < 1:
-        raise ValueError(f"{what} is {value}; it must be 1 or more")
+    if value < least:
+        raise ValueError(f"{what} is {value}; it must be {least} or more")
     return value
+
+
+def flag(value, what):
+    """Yes or no."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{what} must be True or False, not {value!r}")
+    return bool(value)
+
+
+def path(value, what):
+    """A file or a folder."""
+    if not isinstance(value, (str, bytes, os.PathLike)):
+        raise TypeError(f"{what} must be a path, not {value!r}")
+    return os.fsdecode(value)
+
+
+def paths(value, what):
+    """Files and folders: several, or one alone."""
+    if isinstance(value, (str, bytes, os.PathLike)):
+        value = [value]
+    try:
+        value = list(value)
+    except TypeError:
+        raise TypeError(f"{what} must be paths, not {value!r}") from None
+    return [path(one, what) for one in value]
 
 
 def names(value, what):
@@ -215,19 +240,21 @@ def query(given):
     full["policy"] = text(full["policy"], "policy")
     for word in ("max_error_px", "max_error", "spacing"):
         full[word] = number(full[word], word)
+    for word in ("closed", "raw", "masked", "with_scan"):
+        full[word] = flag(full[word], word)
     for word in ("level", "capacity"):
         if full[word] is not None:
             full[word] = whole(full[word], word)
     return full
 
 
-def per_axis(value):
+def per_axis(value, what):
     """One number for all axes, or three."""
     if value is None:
         return None
-    axes = numbers(value, "quantum, phase or scale")
+    axes = numbers(value, what)
     if len(axes) not in (1, 3):
-        raise ValueError(f"one number is wanted, or one per axis; there are {len(axes)}")
+        raise ValueError(f"{what} is one number, or one per axis; there are {len(axes)}")
     return axes * (3 // len(axes))
 
 
@@ -235,10 +262,10 @@ def output(format, scale, frame, split_by, overwrite):
     """All keywords of a file of points."""
     return {
         "format": text(format, "format"),
-        "scale": per_axis(scale),
+        "scale": per_axis(scale, "scale"),
         "frame": text(frame, "frame"),
         "split_by": text(split_by, "split_by"),
-        "overwrite": bool(overwrite),
+        "overwrite": flag(overwrite, "overwrite"),
     }
 
 
@@ -267,22 +294,28 @@ def changes(
         # As on the command line.
         columns = columns.split(",")
     return {
-        "quantum": per_axis(quantum),
-        "phase": per_axis(phase),
-        "lattice": lattice,
+        "quantum": per_axis(quantum, "quantum"),
+        "phase": per_axis(phase, "phase"),
+        "lattice": None if lattice is None else path(lattice, "lattice"),
         "memory": None if memory is None else count(memory, "memory"),
         "threads": None if threads is None else count(threads, "threads"),
         "crs": crs,
-        "ignore_crs": bool(ignore_crs),
+        "ignore_crs": flag(ignore_crs, "ignore_crs"),
         "name": text(name, "name"),
-        "poses": [_matrix(pose) for pose in poses],
+        "poses": _matrices(poses),
         "columns": None if columns is None else ",".join(names(columns, "columns")),
-        "recursive": bool(recursive),
-        "strict": bool(strict),
-        "wait": bool(wait),
+        "recursive": flag(recursive, "recursive"),
+        "strict": flag(strict, "strict"),
+        "wait": flag(wait, "wait"),
     }
 
 
-def _matrix(pose):
-    """The sixteen numbers of a row-major 4 x 4 matrix."""
-    return numbers(pose, "a pose")
+def _matrices(poses):
+    """The sixteen numbers of a row-major 4 x 4 matrix each."""
+    try:
+        matrices = [numbers(pose, "a pose") for pose in poses]
+    except TypeError:
+        matrices = [None]
+    if any(matrix is None or len(matrix) != 16 for matrix in matrices):
+        raise TypeError(f"poses must be a 4 x 4 matrix for each input file, not {poses!r}")
+    return matrices

@@ -345,7 +345,8 @@ class Reader:
         60000
         """
         options = self._asked({"attributes": [], **keywords})
-        return Density(float(side), *self._reader.density(options, side))
+        side = _arguments.number(side, "side")
+        return Density(side, *self._reader.density(options, side))
 
     def export(
         self,
@@ -589,9 +590,7 @@ def ingest(
 
     Ctrl-C, too, leaves the store at its last commit.
     """
-    if isinstance(inputs, (str, os.PathLike)):
-        inputs = [inputs]
-    report = _changed(_esker.ingest, path, list(inputs), progress=progress, **keywords)
+    report = _changed(_esker.ingest, path, _arguments.paths(inputs, "inputs"), progress=progress, **keywords)
     for note in report["notes"] + [f"{s['name']}: {w}" for s in report["scans"] for w in s["warnings"]]:
         _log.warning("%s", note)
     return report
@@ -599,7 +598,7 @@ def ingest(
 
 def merge(out: PathLike, stores: Sequence[PathLike], **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
     """Joins stores on one lattice to a new one: what a single ingest of all their scans would have given."""
-    return _changed(_esker.merge, out, list(stores), **keywords)
+    return _changed(_esker.merge, out, _arguments.paths(stores, "stores"), **keywords)
 
 
 def generate(
@@ -620,8 +619,13 @@ def generate(
     >>> [os.path.basename(file) for file in esker.generate("torus", 1000, folder + "/torus.las")]
     ['torus.las']
     """
-    options = {"seed": seed, "scans": scans, "laz": laz, "force": force}
-    files = _esker.generate(kind, _arguments.whole(points, "points"), output, options)
+    options = {
+        "seed": _arguments.count(seed, "seed", 0),
+        "scans": min(_arguments.count(scans, "scans"), 2**32 - 1),
+        "laz": _arguments.flag(laz, "laz"),
+        "force": _arguments.flag(force, "force"),
+    }
+    files = _esker.generate(kind, _arguments.count(points, "points", 0), output, options)
     return [os.fspath(path) for path, _ in files]
 
 
@@ -629,6 +633,8 @@ class _Listener:
     """Who hears of a change."""
 
     def __init__(self, progress: Optional[Callable[..., Any]]) -> None:
+        if progress is not None and not callable(progress):
+            raise TypeError(f"progress must be called, which {progress!r} can't")
         self.progress = progress
         self.say = _log.info
 

@@ -71,6 +71,10 @@ impl Destination {
         if path.file_name().is_none() {
             return Err(refuse("is a directory; give a file name"));
         }
+        // The name alone would be written, and then could not be given.
+        if path.as_os_str().as_encoded_bytes().last().is_some_and(|&b| std::path::is_separator(char::from(b))) {
+            return Err(refuse("is the name of a folder; give a file name"));
+        }
         // Through a link, so that the link stays one.
         let target = match fs::canonicalize(path) {
             Ok(target) => target,
@@ -251,6 +255,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         assert!(reason(Destination::file(folder.path(), true)).contains("is a directory"));
         assert!(reason(Destination::file(Path::new("/"), true)).contains("is a directory"));
+        assert!(reason(Destination::file(&folder.path().join("a.las/"), true)).contains("is the name of a folder"));
         assert!(reason(Destination::file(&folder.path().join("no/a.las"), true)).contains("does not exist"));
         let file = folder.path().join("file");
         fs::write(&file, b"").unwrap();

@@ -55,7 +55,8 @@ impl Wishes {
                 LatticeWish { quantum: Some(found.quantum_f64()), phase: Some(found.phase().map(Decimal::to_f64)) };
         }
         let crs = |text: &String| {
-            Crs::parse(text).ok_or_else(|| bad_ingest(format!("the CRS '{text}' is neither EPSG:N nor WKT")))
+            Crs::parse(text)
+                .ok_or_else(|| bad_ingest(format!("the CRS '{text}' is neither EPSG:N (1024 to 32766) nor WKT")))
         };
         let pose = |matrix: &[f64; 16]| Pose::from_matrix(matrix).map_err(|e| bad_ingest(format!("a pose: {e}")));
         Ok(IngestOptions {

@@ -193,7 +193,7 @@ pub(super) fn poses(files: &[PathBuf]) -> anyhow::Result<Vec<Pose>> {
 fn parse_crs(text: &str) -> anyhow::Result<Crs> {
     let content = std::fs::read_to_string(text);
     let crs = Crs::parse(content.as_deref().unwrap_or(text));
-    crs.with_context(|| format!("--crs '{text}' is neither EPSG:N nor WKT nor a file that holds WKT"))
+    crs.with_context(|| format!("--crs '{text}' is neither EPSG:N (1024 to 32766) nor WKT nor a file that holds WKT"))
 }
 
 /// The lattice in words.

@@ -1,7 +1,7 @@
 //! What a coordinate reference system says: codes, kind, unit, and whether two are the same.
 
 use super::Crs;
-use super::geokeys::GeoKeys;
+use super::geokeys::{EPSG_CODES, GeoKeys};
 use super::wkt::Node;
 
 /// GTModelTypeGeoKey of geographic systems.
@@ -32,13 +32,17 @@ impl Crs {
         Self { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Self::default() }
     }
 
-    /// Reads `EPSG:N`, `EPSG:N+V` or WKT; `None` if it is neither.
+    /// Reads `EPSG:N`, `EPSG:N+V` or WKT; `None` if it is neither. Other numbers than those of the register's systems would be
+    /// lost in files.
     pub fn parse(text: &str) -> Option<Self> {
         let text = text.trim();
         if let Some(code) = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")) {
-            let mut codes = code.splitn(2, '+').map(|c| c.trim().parse::<u32>());
-            let horizontal = codes.next()?.ok()?;
-            return Some(Self::from_epsg(horizontal, codes.next().transpose().ok()?));
+            let known =
+                |code: &str| code.trim().parse::<u16>().ok().filter(|code| EPSG_CODES.contains(code)).map(u32::from);
+            let mut codes = code.splitn(2, '+').map(known);
+            let horizontal = codes.next()??;
+            let vertical = codes.next().map_or(Some(None), |code| code.map(Some))?;
+            return Some(Self::from_epsg(horizontal, vertical));
         }
         text.contains('[').then(|| Self { wkt: Some(text.to_owned()), ..Self::default() })
     }
@@ -142,7 +146,7 @@ mod tests {
         assert_eq!(Crs::parse("epsg:25832+7837"), Some(Crs::from_epsg(25_832, Some(7837))));
         let wkt = r#"PROJCS["here"]"#;
         assert_eq!(Crs::parse(wkt).and_then(|c| c.wkt).as_deref(), Some(wkt));
-        for neither in ["", "EPSG:", "EPSG:x", "EPSG:1+", "25832", "UTM"] {
+        for neither in ["EPSG:0", "EPSG:70000", "EPSG:25832+0", "", "EPSG:", "EPSG:x", "EPSG:1+", "25832", "UTM"] {
             assert_eq!(Crs::parse(neither), None, "{neither}");
         }
     }

@@ -5,7 +5,7 @@ use super::Crs;
 const DIRECTORY: u16 = 34735;
 const ASCII: u16 = 34737;
 /// Codes of the EPSG register (GeoTIFF 1.0, 2.7.2): 32767 is "defined by other keys", above are private ones.
-const EPSG_CODES: std::ops::RangeInclusive<u16> = 1024..=32766;
+pub(super) const EPSG_CODES: std::ops::RangeInclusive<u16> = 1024..=32766;
 
 /// The key directory of a [`Crs`].
 pub(super) struct GeoKeys<'a> {

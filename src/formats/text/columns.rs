@@ -32,7 +32,7 @@ pub fn parse_columns(text: &str) -> Result<Vec<String>, String> {
 
 /// What columns of these names are.
 pub fn roles(names: &[String]) -> Vec<Role> {
-    let mut roles: Vec<Role> = names.iter().map(|name| role(name)).collect();
+    let mut roles: Vec<Role> = names.iter().enumerate().map(|(i, name)| role(name, i)).collect();
     // One letter alone may mean anything; the three together are a colour.
     let letters = [("r", "Red"), ("g", "Green"), ("b", "Blue")];
     let places = letters.map(|(letter, _)| names.iter().position(|n| n.eq_ignore_ascii_case(letter)));
@@ -64,7 +64,13 @@ pub fn roles(names: &[String]) -> Vec<Role> {
     roles
 }
 
-fn role(name: &str) -> Role {
+/// What column `i` of this name is.
+fn role(name: &str, i: usize) -> Role {
+    match name {
+        "" => return Role::Attribute(unnamed(i)),
+        "-" | "_" => return Role::Skip,
+        _ => {}
+    }
     let fold = |text: &str| -> String {
         text.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
     };
@@ -78,7 +84,7 @@ fn role(name: &str) -> Role {
         _ => {}
     }
     match &*fold(name) {
-        "" | "skip" => Role::Skip,
+        "skip" => Role::Skip,
         "i" => Role::Attribute("Intensity".into()),
         _ => Role::Attribute(name.to_owned()),
     }
@@ -129,9 +135,14 @@ pub fn named(columns: usize, rest: &[&str]) -> Vec<Role> {
     let name = |i: usize| match (i, rest.get(i.wrapping_sub(3))) {
         (0..3, _) => Role::Axis(i),
         (_, Some(name)) => Role::Attribute((*name).to_owned()),
-        (_, None) => Role::Attribute(format!("column{}", i + 1)),
+        (_, None) => Role::Attribute(unnamed(i)),
     };
     (0..columns).map(name).collect()
+}
+
+/// The name of column `i` where it has none.
+fn unnamed(i: usize) -> String {
+    format!("column{}", i + 1)
 }
 
 /// What the type of each column follows from: its values in all blocks of a file, and those of the other parts of a colour or

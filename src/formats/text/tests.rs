@@ -180,6 +180,17 @@ fn two_quotes_in_a_quoted_name_are_one() {
 }
 
 #[test]
+fn no_column_is_left_out_for_its_name() {
+    // Those whose names have no Latin letter and no digit were, without a word.
+    let all = opened("a.csv", "x,y,z,\u{6e29}\u{5ea6},?,,\u{e9}\n1,2,3,4,5,6,7\n");
+    assert_eq!(attributes(&*all[0]), ["? i32", "column6 i32", "\u{e9} i32", "\u{6e29}\u{5ea6} i32"]);
+    let all = opened("a.csv", ",x,y,z\n0,1,2,3\n1,4,5,6\n");
+    assert_eq!(positions(&*all[0]), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);
+    assert_eq!(attributes(&*all[0]), ["column1 i32"]);
+    assert_eq!(attributes(&*try_opened("a.txt", "1 2 3 4 5 6\n", Some("-,x,y,z,_,Skip")).unwrap()[0]), [] as [&str; 0]);
+}
+
+#[test]
 fn the_user_says_what_columns_are() {
     let content = "7 1 2 3 0.5 9\n8 4 5 6 0.6 9\n";
     let all = try_opened("a.txt", content, Some("-,x,y,z,reflectance")).unwrap();

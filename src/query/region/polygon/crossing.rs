@@ -32,21 +32,53 @@ pub(super) fn find(rings: &[Vec<Place>]) -> Option<Crossing> {
         let next = |i: usize| places[(i + 1) % places.len()];
         edges.extend((0..places.len()).map(|at| Edge { ring, at, from: places[at], to: next(at) }));
     }
-    edges.sort_by_key(|e| e.span(0));
-    // Edges that reach to the right of the sweep line.
-    let mut open: Vec<Edge> = Vec::new();
-    for edge in edges {
-        open.retain(|o| o.span(0).1 >= edge.span(0).0);
-        let (low, high) = edge.span(1);
-        for other in &open {
-            let (other_low, other_high) = other.span(1);
-            if other_low <= high && low <= other_high && cross(rings, &edge, other) {
-                return Some([(other.ring, other.at), (edge.ring, edge.at)]);
+    let spans = edges.iter().map(|edge| [edge.span(0), edge.span(1)]).collect();
+    let tree = Tree::over(spans);
+    let [a, b] = tree.meeting(&mut |a, b| cross(rings, &edges[b], &edges[a]))?;
+    Some([a, b].map(|i| (edges[i].ring, edges[i].at)))
+}
+
+/// Least and greatest, both inside, on each axis.
+type Span = [(i128, i128); 2];
+
+/// Rectangles around runs of edges, each twice as long as those of the level below: edges that follow one another are near
+/// one another, whichever way an outline goes.
+struct Tree {
+    /// The edges' own come first.
+    levels: Vec<Vec<Span>>,
+}
+
+impl Tree {
+    fn over(edges: Vec<Span>) -> Self {
+        let both = |a: Span, b: Span| [0, 1].map(|i| (a[i].0.min(b[i].0), a[i].1.max(b[i].1)));
+        let mut levels = vec![edges];
+        while let Some(below) = levels.last().filter(|level| level.len() > 1) {
+            let level = below.chunks(2).map(|pair| pair.iter().copied().reduce(both).unwrap_or(pair[0])).collect();
+            levels.push(level);
+        }
+        Self { levels }
+    }
+
+    /// Two edges of which this is true, of those whose rectangles meet; the first comes before the second.
+    fn meeting(&self, is_true: &mut impl FnMut(usize, usize) -> bool) -> Option<[usize; 2]> {
+        let mut open = vec![(self.levels.len() - 1, 0, 0)];
+        while let Some((level, a, b)) = open.pop() {
+            let all = &self.levels[level];
+            let (Some(of_a), Some(of_b)) = (all.get(a), all.get(b)) else { continue };
+            if (0..2).any(|i| of_a[i].1 < of_b[i].0 || of_b[i].1 < of_a[i].0) {
+                continue;
+            }
+            match level.checked_sub(1) {
+                Some(below) => {
+                    let pairs = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(i, j)| (below, 2 * a + i, 2 * b + j));
+                    open.extend(pairs.into_iter().filter(|(_, a, b)| a <= b));
+                }
+                None if a != b && is_true(a, b) => return Some([a, b]),
+                None => {}
             }
         }
-        open.push(edge);
+        None
     }
-    None
 }
 
 fn cross(rings: &[Vec<Place>], a: &Edge, b: &Edge) -> bool {
@@ -102,6 +134,7 @@ fn opposite_directions(at: Place, a: Place, b: Place) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     fn crosses(rings: &[&[[i128; 2]]]) -> bool {
         // Whatever vertex comes first, and in either direction.
@@ -146,8 +179,41 @@ mod tests {
         let n = 200_000_i128;
         let mut ring: Vec<Place> = (0..n).map(|i| [i * 10, i % 7]).collect();
         ring.extend((0..n).rev().map(|i| [i * 10, 1000 + i % 5]));
-        assert_eq!(find(std::slice::from_ref(&ring)), None);
-        ring[100_000] = [1_000_000, 2000];
-        assert!(find(&[ring]).is_some());
+        // Along x, along y (which took minutes), and around a corner.
+        let turned = |[x, y]: Place| [y, x];
+        let bent = |[x, y]: Place| if x < 5 * n { [x, y] } else { [5 * n + y, 5 * n - x] };
+        for turn in [&|place| place, &turned, &bent] as [&dyn Fn(Place) -> Place; 3] {
+            let mut ring: Vec<Place> = ring.iter().copied().map(turn).collect();
+            assert_eq!(find(std::slice::from_ref(&ring)), None);
+            ring[100_000] = turn([1_000_000, 2000]);
+            assert!(find(&[ring]).is_some());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_crosses_is_what_some_two_edges_say(
+            rings in prop::collection::vec(prop::collection::vec(prop::array::uniform2(0_i128..12), 3..9), 1..4),
+        ) {
+            // Without repeated neighbours, as rings are given.
+            let rings: Vec<Vec<Place>> = rings
+                .into_iter()
+                .map(|mut ring| {
+                    ring.dedup();
+                    while ring.len() > 1 && ring.first() == ring.last() {
+                        ring.pop();
+                    }
+                    ring
+                })
+                .filter(|ring| ring.len() > 2)
+                .collect();
+            let mut edges = Vec::new();
+            for (ring, places) in rings.iter().enumerate() {
+                let to = |at: usize| places[(at + 1) % places.len()];
+                edges.extend((0..places.len()).map(|at| Edge { ring, at, from: places[at], to: to(at) }));
+            }
+            let any = (0..edges.len()).any(|b| (0..b).any(|a| cross(&rings, &edges[b], &edges[a])));
+            prop_assert_eq!(find(&rings).is_some(), any);
+        }
     }
 }

@@ -44,9 +44,9 @@ pub(super) struct Arguments {
     /// What a camera needs: a view file in JSON.
     #[arg(long, value_name = "VIEW.json")]
     view: Option<PathBuf>,
-    /// For --view: stop where spacing is below so many pixels.
-    #[arg(long, value_name = "PX", default_value = "1", value_parser = values::not_negative, requires = "view")]
-    max_error_px: f64,
+    /// For --view: stop where spacing is below so many pixels; 1 unless said.
+    #[arg(long, value_name = "PX", value_parser = values::not_negative, requires = "view")]
+    max_error_px: Option<f64>,
     /// For --view: how points are spread: `screen`, the largest error in pixels first, or `distance`, ratios that fall with
     /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.
     #[arg(long, value_name = "POLICY", requires = "view")]
@@ -255,9 +255,13 @@ fn query(arguments: &Arguments, region: Region, snapshot: &Snapshot) -> anyhow::
     let mut query = arguments.which.query(region, snapshot)?;
     if let Some(path) = &arguments.view {
         let camera = read_view(path)?;
-        query = query.view(camera, arguments.max_error_px);
+        query = query.view(camera, arguments.max_error_px.unwrap_or(1.0));
         if let Some(text) = &arguments.policy {
-            query = query.policy(Policy::parse(text)?);
+            let policy = Policy::parse(text)?;
+            if arguments.max_error_px.is_some() && matches!(policy, Policy::Distance(_)) {
+                bail!("--max-error-px is for the policy of the screen: leave it out, or --policy");
+            }
+            query = query.policy(policy);
         }
     }
     let detail = match (arguments.max_error, arguments.spacing, arguments.level) {
@@ -297,7 +301,8 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
     let on_faces = match answer.on_maximum_faces {
         Some(counted) => counted,
         None => {
-            let everything = Query::new().region(region.clone()).count(snapshot)?;
+            // All that matches there, however coarse the answer is.
+            let everything = arguments.which.query(region.clone(), snapshot)?.count(snapshot)?;
             everything.on_maximum_faces.unwrap_or(0)
         }
     };

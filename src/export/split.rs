@@ -3,6 +3,7 @@
 use super::{ExportError, ExportOptions, Exported, PartOf, Shape, SplitBy, Target, Written, begin};
 use crate::formats::{OutputFormat, PointWriter};
 use crate::points::{Attribute, Batch, Number, counted};
+use crate::query::kinds::Kinds;
 use crate::query::{OutputForm, Query};
 use crate::store::Snapshot;
 use crate::store::model::{Scan, ScanId};
@@ -67,6 +68,13 @@ pub(super) fn split(
         return Err(error);
     }
     let (mut written, mut notes) = (Vec::new(), Vec::new());
+    if by == SplitBy::Scan && query.has_filter() && !Kinds::of(snapshot, &form.scans).is_empty() {
+        notes.push(
+            "scans differ in their kind of colours or angles: --where compared what all together have (16 bits, steps of 0.006 \
+             degrees), and each file has its scan's own values"
+                .to_owned(),
+        );
+    }
     for Part { path, of, writer, points, shape, .. } in files.parts.into_values() {
         if of == PartOf::Class(None) {
             notes.push(format!("{} without a class: {}", counted(points, "point"), path.display()));

@@ -25,6 +25,8 @@ pub use bound::{Frontier, Metric, step_bound};
 pub use layers::{filtered, level};
 pub use nodes::{MemoryNodes, Node, Nodes, Row, TreePoint};
 pub use params::{Params, root_of};
+#[cfg(test)]
+pub(crate) use parts::split_at_least;
 pub use parts::{LEAST_PART_POINTS, MOST_PARTS, MOST_REPEATED_POINTS, PartPlan, split};
 pub use remove::{Doomed, Matching, Requests};
 pub use step::Step;

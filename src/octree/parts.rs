@@ -38,6 +38,11 @@ struct Steps {
 ///
 /// If the lengths differ, or there are 2^32 points or more.
 pub fn split(wins: &[i8], groups: &[u8]) -> Vec<PartPlan> {
+    split_at_least(wins, groups, LEAST_PART_POINTS)
+}
+
+/// The same with another least number of points of a part, so that tests have small nodes of several.
+pub(crate) fn split_at_least(wins: &[i8], groups: &[u8], least: u64) -> Vec<PartPlan> {
     assert!(wins.len() == groups.len() && u32::try_from(wins.len()).is_ok(), "wins and groups of a node must match");
     // Step numbers fit a byte.
     let numbers: Vec<u8> = wins.iter().zip(groups).map(|(&win, &group)| Step::number(win, group) as u8).collect();
@@ -48,12 +53,12 @@ pub fn split(wins: &[i8], groups: &[u8]) -> Vec<PartPlan> {
     let mut steps: Vec<Steps> =
         (0..Step::COUNT).filter(|&n| counts[n] > 0).map(|n| Steps { first: n, last: n, points: counts[n] }).collect();
     let repeated = steps.pop_if(|s| is_repeated(s.last) && s.points > MOST_REPEATED_POINTS);
-    let mut runs = joined(steps);
+    let mut runs = joined(steps, least);
     let mut parts = Vec::new();
     let mut pieces = Vec::new();
     if let Some(repeated) = repeated {
         // Steps too small for a part of their own go with the first piece.
-        let small = runs.pop_if(|s| s.points < LEAST_PART_POINTS);
+        let small = runs.pop_if(|s| s.points < least);
         let before = small.map_or(0, |s| s.points);
         let total = before + repeated.points;
         let count = total.div_ceil(MOST_REPEATED_POINTS);
@@ -117,16 +122,16 @@ fn plan(run: &Steps) -> PartPlan {
 }
 
 /// Joins small steps to the next, what is small at the end to the one before, then the smallest neighbours.
-fn joined(steps: Vec<Steps>) -> Vec<Steps> {
+fn joined(steps: Vec<Steps>, least: u64) -> Vec<Steps> {
     let mut runs: Vec<Steps> = Vec::new();
     for step in steps {
         match runs.last_mut() {
-            Some(run) if run.points < LEAST_PART_POINTS => run.extend(step),
+            Some(run) if run.points < least => run.extend(step),
             _ => runs.push(step),
         }
     }
     if runs.len() > 1
-        && let Some(small) = runs.pop_if(|run| run.points < LEAST_PART_POINTS)
+        && let Some(small) = runs.pop_if(|run| run.points < least)
         && let Some(run) = runs.last_mut()
     {
         run.extend(small);

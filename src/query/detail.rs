@@ -22,7 +22,7 @@ pub enum Detail {
 }
 
 impl Detail {
-    /// The exponent of the cell to go down to; `None` for everything. `root` is the largest root of the store.
+    /// The exponent of the cell to go down to; `None` for everything. `root` is the root of all points.
     ///
     /// # Errors
     ///

@@ -83,6 +83,11 @@ impl Kinds {
         Self { narrow, fields, brightened }
     }
 
+    /// Is all of one kind?
+    pub fn is_empty(&self) -> bool {
+        self.narrow.is_empty() && self.brightened.is_empty()
+    }
+
     /// What becomes of the values that a scan has of an attribute.
     pub fn widening(&self, slot: Slot, scan: ScanId) -> Option<Widening> {
         let narrow = self.narrow.iter().find(|(narrow, _)| *narrow == slot).map(|(_, widening)| *widening);

@@ -123,12 +123,7 @@ impl Pieces {
     pub fn new(plan: &Plan, c: Option<u8>) -> Self {
         let tree = |root: &Node| Tree { root: root.cube, node: Some(root.clone()), above: None };
         let trees: Vec<Tree> = plan.roots.iter().map(tree).collect();
-        let all = plan.roots.iter().map(|root| root.cube).reduce(|a, b| {
-            let (a, b) = (a.to_box(), b.to_box());
-            let both = a.union(&b);
-            Cube::spanning(both.min, both.max, 0)
-        });
-        Self { c, open: all.map(|cube| (cube, trees)).into_iter().collect() }
+        Self { c, open: plan.root().map(|cube| (cube, trees)).into_iter().collect() }
     }
 
     /// The next piece in which something may match.

@@ -116,9 +116,9 @@ impl Plan {
         Metric::new(self.lattice.quantum_f64())
     }
 
-    /// The largest root of all layers.
+    /// The root that the points of all layers would have in one.
     pub fn root(&self) -> Option<Cube> {
-        self.roots.iter().map(|r| r.cube).max_by_key(|c| c.k())
+        self.snapshot.site().root()
     }
 
     /// The layer of a node, by its number.

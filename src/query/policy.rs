@@ -16,7 +16,7 @@ use super::view::{RelativeLattice, SelectedPart, Selection, after_parts, not_beg
 use crate::geometry::{Camera, Containment, DVec3, WorldBox};
 use crate::lattice::{Cube, Lattice};
 use crate::octree::Metric;
-use crate::store::{Node, Nodes};
+use crate::store::{Node, NodeIx, Nodes};
 use std::cmp::Reverse;
 
 /// How a view spreads its points.
@@ -303,6 +303,9 @@ fn take(
     taken: &mut Vec<SelectedPart>,
 ) -> Option<f64> {
     let mut left = quota;
+    let mut bound = 0.0_f64;
+    // The node of which a part is not wholly there: what lies behind it in the group is not begun.
+    let mut broken: Option<NodeIx> = None;
     for (node, part, all) in &group.parts {
         let (part, all) = (*part, *all);
         let points = u32::try_from(left).unwrap_or(u32::MAX).min(all);
@@ -310,18 +313,19 @@ fn take(
             taken.push(SelectedPart { node: node.ix(), part: part as u32, points });
         }
         left -= u64::from(points);
-        if points == all {
+        if points == all || broken == Some(node.ix()) {
             continue;
         }
+        broken = Some(node.ix());
         // Of this level and below some nodes are not there: their parents are.
         let of_parent = (node.cube.k() + 1).saturating_sub(g) as i8;
-        let others = metric.step_bound(of_parent, 7);
-        if !node.is_root() {
-            return Some(others);
+        bound = bound.max(metric.step_bound(of_parent, 7));
+        // Nothing stands for a root, which each layer has.
+        if node.is_root() {
+            let is_begun = points > 0 || part > 0;
+            let of_root = if is_begun { after_parts(metric, node, part) } else { not_begun_root(metric, node, begun?) };
+            bound = bound.max(of_root);
         }
-        let of_root =
-            if points > 0 || part > 0 { after_parts(metric, node, part) } else { not_begun_root(metric, node, begun?) };
-        return Some(of_root.max(others));
     }
-    Some(0.0)
+    Some(bound)
 }

@@ -74,6 +74,11 @@ impl Query {
         self
     }
 
+    /// Is there a filter?
+    pub(crate) fn has_filter(&self) -> bool {
+        self.filter.is_some()
+    }
+
     /// Only points of these scans, by name or number, also if they are hidden.
     #[must_use]
     pub fn scans<S: Into<String>>(mut self, scans: impl IntoIterator<Item = S>) -> Self {

@@ -37,6 +37,9 @@ pub(crate) fn view(
                 let cut = ViewCut::new(&plan.nodes, &plan.lattice, plan.g, camera, max_error_px, all)?;
                 select(&mut cut.no_finer_than(finest), query.capacity)
             }
+            Policy::Distance(_) if finest.is_some() => Err(QueryError::Combination(
+                "the distance policy takes points by their distance; leave out spacing, level and error, or --policy",
+            )),
             Policy::Distance(policy) => {
                 select_by_distance(&plan.nodes, &plan.lattice, plan.g, camera, policy, query.capacity)
             }
@@ -196,7 +199,10 @@ struct Matching {
 }
 
 fn matching(plan: &Plan, node: &Node, part: usize) -> Result<Matching, QueryError> {
-    let cell = node.cube.k().saturating_sub(plan.g);
+    // The largest cell whose first point may be in this part: a gap's cells are no larger. A root holds those of all cells.
+    let of_own = (node.cube.k() + 1).saturating_sub(plan.g);
+    let first = node.parts.get(part).map_or(0, |facts| facts.first_step.win.saturating_add(1).max(0) as u8);
+    let cell = if node.is_root() { of_own.max(first).min(node.cube.k()) } else { of_own };
     let skips = |bounds: &LatticeBox| outside(plan)(&cells_of(bounds, cell));
     let look = Look { skips: &skips, misses: true, positions: true };
     let mut result = Matching { indices: Vec::new(), keys: Vec::new(), missed: Vec::new() };

@@ -3,6 +3,8 @@
 //! Each batch is summed up on the thread that decoded it; what comes out is joined in the order of the batches, so it is
 //! the same on any number of threads.
 
+use super::kinds::{Kinds, Widening, wider};
+use super::output::contributing;
 use super::plan::Plan;
 use super::{Answer, Query, QueryError};
 use crate::lattice::{BIAS, Lattice};
@@ -41,12 +43,14 @@ impl Query {
     pub fn summary(&self, snapshot: &Snapshot) -> Result<(Answer, Vec<AttributeSummary>), QueryError> {
         let plan = Plan::new(self, snapshot)?;
         let scans = snapshot.scans();
+        let met = Kinds::of(snapshot, &contributing(snapshot, plan.scans.as_deref(), &plan.region));
         let form = Form::new(&plan.lattice, &plan.columns, |column| {
             let having: Vec<_> = scans.iter().filter(|s| s.attributes.contains(&column.id)).map(|s| s.id).collect();
-            (having.len() < scans.len()).then_some(having)
+            let widened = having.iter().filter_map(|&scan| Some((scan, met.widening(column.id, scan)?))).collect();
+            (widened, (having.len() < scans.len()).then_some(having))
         });
-        // Where some scan lacks an attribute it must be known which scan a point is of.
-        let needs_scans = form.attributes.iter().any(|(_, having)| having.is_some());
+        // Where some scan lacks an attribute, or has another kind, it must be known which scan a point is of.
+        let needs_scans = form.attributes.iter().any(|a| a.having.is_some() || !a.widened.is_empty());
         let query = self.clone().with_scans(self.with_scans || needs_scans);
         let form = Arc::new(form);
         let here = form.clone();
@@ -66,8 +70,16 @@ impl Query {
 /// What is summed up.
 struct Form {
     lattice: Lattice,
-    /// The scans that have an attribute; `None`: all.
-    attributes: Vec<(Attribute, Option<Vec<ScanId>>)>,
+    attributes: Vec<Summed>,
+}
+
+/// An attribute that is summed up.
+struct Summed {
+    attribute: Attribute,
+    /// The scans that have it, ascending; `None`: all.
+    having: Option<Vec<ScanId>>,
+    /// Those whose values are brought to another kind, as in the answer: ascending.
+    widened: Vec<(ScanId, Widening)>,
 }
 
 /// The statistics of some points.
@@ -80,10 +92,13 @@ impl Form {
     fn new(
         lattice: &Lattice,
         attributes: &[StoredAttribute],
-        scans_having: impl Fn(&StoredAttribute) -> Option<Vec<ScanId>>,
+        scans: impl Fn(&StoredAttribute) -> (Vec<(ScanId, Widening)>, Option<Vec<ScanId>>),
     ) -> Self {
-        let attributes = attributes.iter().map(|a| (a.attribute.clone(), scans_having(a))).collect();
-        Self { lattice: lattice.clone(), attributes }
+        let summed = |a: &StoredAttribute| {
+            let ((widened, having), attribute) = (scans(a), a.attribute.clone());
+            Summed { attribute, having, widened }
+        };
+        Self { lattice: lattice.clone(), attributes: attributes.iter().map(summed).collect() }
     }
 
     fn empty(&self) -> Summary {
@@ -96,13 +111,17 @@ impl Form {
         let axes = [&positions.x, &positions.y, &positions.z].map(|values| Axis::of(values));
         // One of the types is f64 already.
         #[allow(clippy::unnecessary_cast)]
-        let column = |((attribute, having), column): (&(Attribute, Option<Vec<ScanId>>), &Column)| {
+        let column = |(Summed { attribute, having, widened }, column): (&Summed, &Column)| {
             let there = match having.is_none() && attribute.no_data.is_none() {
                 true => None,
                 false => Some(not_null(attribute, having.as_deref(), column, &batch.scans)),
             };
             let count = there.as_ref().map_or(column.len(), Vec::len);
             let at = |i: usize| there.as_ref().map_or(i, |there| there[i]);
+            if !widened.is_empty() {
+                let running = Running::of(count, |i| widened_value(widened, column, &batch.scans, at(i)));
+                return Values { running, whole: None };
+            }
             let running = match &there {
                 None => with_column!(column, v => Running::of(count, |i| v[i] as f64)),
                 Some(there) => with_column!(column, v => Running::of(count, |i| v[there[i]] as f64)),
@@ -125,13 +144,15 @@ impl Form {
         });
         // What scans scale in several ways is one attribute to a user.
         let mut joined: Vec<(Attribute, Values)> = Vec::new();
-        for ((attribute, _), values) in self.attributes.iter().zip(&summary.columns) {
+        for (Summed { attribute, widened, .. }, values) in self.attributes.iter().zip(&summary.columns) {
+            let wider = wider(attribute).filter(|_| !widened.is_empty());
+            let ty = wider.map_or(attribute.ty, |(ty, _)| ty);
             match joined.last_mut() {
-                Some((same, all)) if (&same.name, same.ty) == (&attribute.name, attribute.ty) => {
+                Some((same, all)) if (&same.name, same.ty) == (&attribute.name, ty) => {
                     all.add(values);
                     same.scaling = same.scaling.or(attribute.scaling);
                 }
-                _ => joined.push((attribute.clone(), *values)),
+                _ => joined.push((Attribute { ty, ..attribute.clone() }, *values)),
             }
         }
         axes.chain(joined.iter().map(|(attribute, values)| values.summary(attribute))).collect()
@@ -142,6 +163,17 @@ impl Summary {
     fn add(&mut self, next: &Self) {
         self.axes.iter_mut().zip(&next.axes).for_each(|(a, b)| a.add(b));
         self.columns.iter_mut().zip(&next.columns).for_each(|(a, b)| a.add(b));
+    }
+}
+
+/// An integer that some scans' points have in another kind, as the answer has it.
+fn widened_value(widened: &[(ScanId, Widening)], column: &Column, scans: &[ScanId], i: usize) -> f64 {
+    let widening = scans.get(i).and_then(|scan| widened.iter().find(|(widened, _)| widened == scan));
+    let number = column.number(i);
+    match (widening, number) {
+        (Some((_, widening)), Number::Unsigned(stored)) => widening.of(stored.into()) as f64,
+        (Some((_, widening)), Number::Signed(stored)) => widening.of(stored.into()) as f64,
+        _ => number.to_f64(),
     }
 }
 
@@ -318,7 +350,7 @@ mod tests {
         let stored: Vec<_> =
             (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
         let lattice = Lattice::uniform(0.25).unwrap();
-        let form = Form::new(&lattice, &stored, |a| (a.id == 2).then(|| vec![7]));
+        let form = Form::new(&lattice, &stored, |a| (Vec::new(), (a.id == 2).then(|| vec![7])));
         let positions: Positions = (0..4).map(|i| LatticePoint([BIAS as u64 + i; 3])).collect();
         let columns = vec![Column::I16(vec![4, -1, 8, 100]), Column::F64(vec![1.0, f64::NAN, 3.0, 8.0])];
         let mut summary = form.empty();
@@ -342,7 +374,7 @@ mod tests {
         let attributes = [there, Attribute::new("signed", ScalarType::I64), Attribute::new("small", ScalarType::I8)];
         let stored: Vec<_> =
             (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
-        let form = Form::new(&Lattice::uniform(0.25).unwrap(), &stored, |_| None);
+        let form = Form::new(&Lattice::uniform(0.25).unwrap(), &stored, |_| (Vec::new(), None));
         let mut summary = form.empty();
         for [id, signed, small] in [[(1 << 53) + 1, i64::MIN + 1, -3], [7, i64::MAX, 100], [1 << 60, 0, 0]] {
             let positions = [LatticePoint([BIAS as u64; 3])].into_iter().collect();

@@ -364,11 +364,12 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
         gaps
     }
 
-    /// Is there nothing left that the threshold or the capacity left out?
+    /// Is there nothing that the threshold or the capacity left out? Repeated positions are, too: the filter may have left out
+    /// what stands for them.
     pub fn is_complete(&self) -> bool {
         let done =
             |(node, _, taken): &(Node, f64, usize)| *taken == node.parts.len() && (node.leaf || node.children == 0);
-        self.heap.is_empty() && self.current.as_ref().is_none_or(done) && self.settled == (0.0, 0.0)
+        self.heap.is_empty() && self.current.as_ref().is_none_or(done) && self.left.is_empty()
     }
 
     /// Nodes whose rows were looked at.

@@ -4,7 +4,7 @@ use super::error::StoreError;
 use super::info::info;
 use super::model::{Range, Scan, Slot, Zones};
 use super::snapshot::Snapshot;
-use crate::lattice::{BITS, Decimal, Lattice, LatticeBox, LatticePoint};
+use crate::lattice::{BITS, Cube, Decimal, Lattice, LatticeBox, LatticePoint};
 use crate::points::{Attribute, Number, Scaling};
 use serde::Serialize;
 use std::sync::Arc;
@@ -176,7 +176,7 @@ fn range_of(slot: Slot, attribute: &Attribute, zones: &[Arc<Zones>]) -> Option<[
 pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
     let info = info(snapshot)?;
     let site = snapshot.site();
-    let root = site.roots.iter().flatten().map(|r| r.k()).max();
+    let root = site.root().map(Cube::k);
     let spacing = |k: u8| site.lattice.largest_quantum() * 2_f64.powi(i32::from(k) - i32::from(site.g));
     let nodes = snapshot.nodes();
     let zones = nodes.roots()?.iter().map(|root| nodes.zones(root)).collect::<Result<Vec<_>, _>>()?;

@@ -44,6 +44,14 @@ pub struct Site {
     pub generation: u64,
 }
 
+impl Site {
+    /// The root that the points of all layers would have in one.
+    pub fn root(&self) -> Option<Cube> {
+        let both = |a: Cube, b: Cube| Cube::spanning(a.low(), b.low(), a.k().max(b.k()));
+        self.roots.iter().flatten().copied().reduce(both)
+    }
+}
+
 /// How many records of a scan were not stored, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rejected {

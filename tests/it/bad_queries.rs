@@ -86,6 +86,9 @@ fn names_details_and_policies_are_refused_with_what_there_is() {
     refused(1, &["--view", &view, "--policy", "near"], &["near", "screen and distance"]);
     refused(1, &["--view", &view, "--policy", "distance,amount=-1"], &["amount", "-1"]);
     refused(1, &["--view", &view, "--policy", "distance", "--where", "Intensity > 5"], &["distance policy"]);
+    refused(1, &["--view", &view, "--policy", "distance", "--spacing", "5"], &["distance policy", "leave out spacing"]);
+    refused(1, &["--view", &view, "--policy", "distance", "--level", "0"], &["distance policy", "level"]);
+    refused(1, &["--view", &view, "--policy", "distance", "--max-error-px", "9"], &["--max-error-px", "leave it out"]);
     refused(1, &["--split-by", "class", "-o", "-", "--format", "csv"], &["file name"]);
     refused(1, &["-o", &path("out.shp")], &["shp", ".npy"]);
     assert!(!folder.path().join("out.shp").exists());

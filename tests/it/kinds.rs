@@ -379,6 +379,36 @@ fn filters_see_what_the_answer_gives_where_kinds_meet() {
     let left = ["--box", "4,-1,9,1"];
     assert_eq!(check(&angles, "ScanAngleRank", &left, &[18.0, 30.0, 5000.0], false), [30.0]);
     assert_eq!(count(&angles, "raw(ScanAngleRank) = 18"), 1);
+    let told = |store: &str, name: &str, more: &[&str]| {
+        let text = esker_ok(&[&["query", store, "--json", "--attributes", name], more].concat());
+        let answer: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let all = answer["attributes"].as_array().unwrap().iter().filter(|a| a["name"] == name);
+        let numbers = |a: &serde_json::Value| ["count", "min", "max", "mean"].map(|key| a[key].as_f64().unwrap());
+        all.map(|a| (a["type"].as_str().unwrap().to_owned(), numbers(a))).collect::<Vec<_>>()
+    };
+    // Degrees and steps were two rows, of 8 and of 16 bits.
+    let given: Vec<f64> =
+        values(&[&angles, "--attributes", "ScanAngleRank"]).iter().map(|v| v.parse().unwrap()).collect();
+    let ends = [given.iter().copied().fold(f64::MAX, f64::min), given.iter().copied().fold(f64::MIN, f64::max)];
+    let mean = given.iter().sum::<f64>() / 8.0;
+    let all = told(&angles, "ScanAngleRank", &[]);
+    assert!(
+        matches!(&all[..], [(ty, [8.0, low, high, m])] if ty == "i16" && [*low, *high] == ends && (m - mean).abs() < 1e-9),
+        "{all:?}"
+    );
+    assert_eq!(told(&angles, "ScanAngleRank", &left), [("i8".to_owned(), [1.0, 30.0, 30.0, 30.0])]);
+    let red = [4.0, 257.0, 51_400.0, (257.0 + 257.0 + 51_400.0 + 300.0) / 4.0];
+    assert_eq!(told(&colors, "Red", &[]), [("u16".to_owned(), red)]);
+    // 0, 1, 200, 255 times 257, and 1, 257, 51,400, 65,535 as they are.
+    let green = [8.0, 0.0, 65_535.0, (456.0 * 257.0 + 1.0 + 257.0 + 51_400.0 + 65_535.0) / 8.0];
+    assert_eq!(told(&fields, "Green", &[]), [("u16".to_owned(), green)]);
+    // A file of a scan has its own values, which are not those that were compared.
+    let split = |filter: &str| {
+        let arguments =
+            ["query", &fields, "--split-by", "scan", "-o", &folder.at("split.csv"), "--force", "--where", filter];
+        String::from_utf8(esker(&arguments).stderr).unwrap()
+    };
+    assert!(split("Green > 2000").contains("its scan's own values"), "{}", split("Green > 2000"));
     let levels = [1.0, 200.0, 256.0, 257.0, 300.0, 51_400.0, 65_535.0];
     assert_eq!(check(&colors, "Red", &[], &levels, true), [257.0, 257.0, 51_400.0, 300.0]);
     assert_eq!(check(&fields, "Green", &[], &levels, false).len(), 8);

@@ -4,12 +4,18 @@
 use super::views::{camera, eye, visible};
 use super::*;
 
-/// The same points in a few layers: one of nearly all of them, thin ones, sometimes one that was given up.
+/// The same points in a few layers: one of nearly all of them, thin ones, sometimes one that was given up; or, half of the time,
+/// each layer where the others are not.
 fn layered() -> impl Strategy<Value = Vec<Vec<Point>>> {
-    (places(110), 2_u32..4, any::<bool>()).prop_map(|(places, layers, empty)| {
+    (places(110), 2_u32..4, any::<(bool, bool)>()).prop_map(|(places, layers, (empty, apart))| {
         let points = numbered(places);
+        let mut across: Vec<u64> = points.iter().map(|p| p.at().0[0]).collect();
+        across.sort_unstable();
+        let middle = across.get(across.len() / 2).copied().unwrap_or(0);
         let of = |layer: u32| {
-            let here = |p: &&Point| [0, 0, 1, 0, 2, 0, 0][p.id as usize % 7].min(layers - 1) == layer;
+            let of_place = |p: &Point| u32::from(p.at().0[0] < middle);
+            let of_number = |p: &Point| [0, 0, 1, 0, 2, 0, 0][p.id as usize % 7].min(layers - 1);
+            let here = |p: &&Point| if apart { of_place(p) } else { of_number(p) } == layer;
             points.iter().filter(here).copied().collect::<Vec<_>>()
         };
         let mut all: Vec<Vec<Point>> = (0..layers).map(of).collect();

@@ -2,7 +2,7 @@
 
 use crate::codec::BlockSize;
 use crate::lattice::{BIAS, Cube, Exactness, Key, Lattice, LatticeBox, LatticePoint};
-use crate::octree::{Params, naive, split, steps, wins};
+use crate::octree::{LEAST_PART_POINTS, Params, naive, split_at_least, steps, wins};
 use crate::points::{Attribute, Column, ScalarType};
 use crate::store::model::{Rejected, Scan, ScanId, Slot};
 use crate::store::{
@@ -151,7 +151,9 @@ fn fill(store: &Store, layers: &[Vec<Point>], params: Params, hidden: Option<Sca
             let layer = layer as u16;
             // Of all sizes, so that small nodes have several.
             let block_size = BlockSize::of_exponent(4 + cube.k().wrapping_add(own.len() as u8) % 9).unwrap();
-            let plan = split(&wins, &steps(&keys, &wins));
+            // Of small nodes, too, several; of others as in a real store.
+            let least = [4, 16, LEAST_PART_POINTS][usize::from(cube.k()) % 3];
+            let plan = split_at_least(&wins, &steps(&keys, &wins), least);
             let parts = columns.cut(&plan);
             let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, parts: &parts, block_size };
             let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();

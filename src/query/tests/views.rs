@@ -27,7 +27,7 @@ pub fn eye() -> impl Strategy<Value = [f64; 3]> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(80))]
+    #![proptest_config(ProptestConfig::with_cases(300))]
 
     #[test]
     fn views_nest_and_keep_their_promise(

@@ -382,7 +382,8 @@ fn filters_see_what_the_answer_gives_where_kinds_meet() {
     let told = |store: &str, name: &str, more: &[&str]| {
         let text = esker_ok(&[&["query", store, "--json", "--attributes", name], more].concat());
         let answer: serde_json::Value = serde_json::from_str(&text).unwrap();
-        let all = answer["attributes"].as_array().unwrap().iter().filter(|a| a["name"] == name);
+        let has_points = |a: &&serde_json::Value| a["name"] == name && a["count"] != 0;
+        let all = answer["attributes"].as_array().unwrap().iter().filter(has_points);
         let numbers = |a: &serde_json::Value| ["count", "min", "max", "mean"].map(|key| a[key].as_f64().unwrap());
         all.map(|a| (a["type"].as_str().unwrap().to_owned(), numbers(a))).collect::<Vec<_>>()
     };

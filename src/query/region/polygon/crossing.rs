@@ -35,7 +35,8 @@ pub(super) fn find(rings: &[Vec<Place>]) -> Option<Crossing> {
     let spans = edges.iter().map(|edge| [edge.span(0), edge.span(1)]).collect();
     let tree = Tree::over(spans);
     let [a, b] = tree.meeting(&mut |a, b| cross(rings, &edges[b], &edges[a]))?;
-    Some([a, b].map(|i| (edges[i].ring, edges[i].at)))
+    // A hole before the outline that it crosses.
+    Some([b, a].map(|i| (edges[i].ring, edges[i].at)))
 }
 
 /// Least and greatest, both inside, on each axis.

@@ -5,7 +5,7 @@
 //! of a record is the context of the others. The format is that of LASzip (`laswriteitemcompressed_v3.cpp`, by M. Isenburg), which
 //! the `laz` crate follows; the tests hold this decoder to that crate, on whole and on damaged chunks.
 //!
-//! It is here because reading is most of what an ingest of LAZ takes, and this takes two thirds of the crate's time
+//! It is here because reading is most of what an ingest of LAZ takes, and this takes six tenths of the crate's time
 //! (`examples/laz_decode.rs`). The crate decodes all other formats, and encodes all.
 
 mod channels;

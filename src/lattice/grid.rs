@@ -238,6 +238,21 @@ impl Lattice {
         if index >= RANGE { None } else { Some(index.max(0) as u64) }
     }
 
+    /// The face that parts `index` on `axis` from the index below it: as a minimum of a box it takes `index`, as a maximum
+    /// it leaves it out, and takes the one below.
+    ///
+    /// It is the coordinate of `index` wherever a float has just that decimal, else a float next to it and below. `index`
+    /// may be one beyond the last.
+    pub fn face_at(&self, axis: usize, index: u64) -> f64 {
+        let exact = self.decimal_on_axis(axis, index);
+        let mut face = self.world_on_axis(axis, index);
+        // At most a few times: within the 48 bits of an index a quantum is sixteen steps of an f64 and more.
+        while Decimal::from_f64(face).is_some_and(|decimal| decimal > exact) {
+            face = face.next_down();
+        }
+        face
+    }
+
     /// The lattice points of the half-open world box `[min, max)`, in exact decimal; `None` if it holds none.
     pub fn box_from_world(&self, min: [f64; 3], max: [f64; 3]) -> Option<LatticeBox> {
         let mut result = LatticeBox::of(LatticePoint::default());
@@ -311,6 +326,22 @@ mod tests {
             let first = lattice.first_index_at_least(2, bound).unwrap();
             prop_assert!(lattice.decimal_on_axis(2, first) >= exact);
             prop_assert!(first == 0 || lattice.decimal_on_axis(2, first - 1) < exact);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_face_parts_an_index_from_the_one_below(
+            q in prop::sample::select(vec![-12, -7, -3, 0, 6]), phase in 0_i128..10_000_000_000_000_000,
+            near in -1_000_000_i64..1_000_000, far in 1_u64..=1 << 48,
+        ) {
+            // Of a phase with 16 digits half of the nearest floats are above the coordinate: they lost the point.
+            let (quantum, phase) = (Decimal::new(1, q), Decimal::new(phase, q - 16));
+            let lattice = Lattice::new([quantum; 3], [phase; 3]).unwrap();
+            for index in [(BIAS + near) as u64, far] {
+                let face = lattice.face_at(1, index);
+                prop_assert_eq!(lattice.first_index_at_least(1, face).unwrap_or(1 << BITS), index, "{}", face);
+            }
         }
     }
 

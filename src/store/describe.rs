@@ -4,7 +4,7 @@ use super::error::StoreError;
 use super::info::info;
 use super::model::{Range, Scan, Slot, Zones};
 use super::snapshot::Snapshot;
-use crate::lattice::{BITS, Cube, Decimal, Lattice, LatticeBox, LatticePoint};
+use crate::lattice::{Cube, Decimal, Lattice, LatticeBox};
 use crate::points::{Attribute, Number, Scaling};
 use serde::Serialize;
 use std::sync::Arc;
@@ -59,9 +59,10 @@ pub struct WorldBounds {
 impl WorldBounds {
     /// The bounds of these lattice points.
     pub fn new(lattice: &Lattice, bounds: &LatticeBox) -> Self {
-        let last = (1 << BITS) - 1;
-        let up = LatticePoint(bounds.max.0.map(|i| (i + 1).min(last)));
-        Self { min: lattice.world_from_lattice(bounds.min), max: lattice.world_from_lattice(up) }
+        Self {
+            min: std::array::from_fn(|axis| lattice.face_at(axis, bounds.min.0[axis])),
+            max: std::array::from_fn(|axis| lattice.face_at(axis, bounds.max.0[axis] + 1)),
+        }
     }
 
     /// The least box of these lattice points, on whose maximum there are some: one point has no extent.
@@ -247,7 +248,34 @@ impl ScanDescription {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lattice::{BIAS, BITS, LatticePoint};
     use crate::points::{ScalarType, Scaling};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn bounds_as_a_box_take_all_points_and_no_other_place(
+            phase in prop::array::uniform3(0_i128..10_000_000_000_000_000),
+            a in prop::array::uniform3(-1_000_000_i64..1_000_000), extent in prop::array::uniform3(0_u64..100_000),
+        ) {
+            // A phase of 16 digits, as that of a file whose offset is the mean of its points: the nearest float to the
+            // minimum may be above it, and a box from there lost the lowest points.
+            let lattice = Lattice::new([Decimal::new(1, -3); 3], phase.map(|p| Decimal::new(p, -19))).unwrap();
+            let min = LatticePoint(a.map(|i| (BIAS + i) as u64));
+            let max = LatticePoint(std::array::from_fn(|i| min.0[i] + extent[i]));
+            let bounds = LatticeBox { min, max };
+            let world = WorldBounds::new(&lattice, &bounds);
+            prop_assert_eq!(lattice.box_from_world(world.min, world.max), Some(bounds));
+        }
+    }
+
+    #[test]
+    fn bounds_of_the_whole_lattice_take_its_last_index() {
+        let lattice = Lattice::uniform(0.001).unwrap();
+        let all = LatticeBox { min: LatticePoint::default(), max: LatticePoint([(1 << BITS) - 1; 3]) };
+        let world = WorldBounds::new(&lattice, &all);
+        assert_eq!(lattice.box_from_world(world.min, world.max), Some(all));
+    }
 
     #[test]
     fn ranges_of_whole_numbers_keep_all_their_digits() {

@@ -12,7 +12,7 @@ mod view;
 
 use super::QueryError;
 use crate::geometry::{Camera, ClipDepth, Convex, DMat4};
-use crate::lattice::{BITS, Lattice};
+use crate::lattice::Lattice;
 pub use on_lattice::LatticeRegion;
 pub use polygon::Polygons;
 use std::sync::Arc;
@@ -193,12 +193,14 @@ impl Region {
             Self::Any(terms) => return Self::Any(each(terms)),
             other => return other.clone(),
         };
-        let last = (1 << BITS) - 1;
+        // The decimal of a point on a face may have more digits than a float: whoever reads it as a float means that point.
+        let as_float = |axis, index| {
+            let nearest = lattice.decimal_on_axis(axis, index).to_f64();
+            nearest.min(lattice.world_on_axis(axis, index))
+        };
         let max = std::array::from_fn(|axis| match lattice.first_index_at_least(axis, max[axis]) {
-            // Only a point exactly on the face is new; the next step lies outside of it anyway.
-            Some(index) if index < last && lattice.world_on_axis(axis, index) <= max[axis] => {
-                lattice.world_on_axis(axis, index + 1)
-            }
+            // Only a point on the face is new; the next step lies outside of it anyway.
+            Some(index) if as_float(axis, index) <= max[axis] => lattice.face_at(axis, index + 1),
             _ => max[axis],
         });
         Self::Box { min, max }

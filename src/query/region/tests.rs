@@ -212,3 +212,28 @@ fn regions_are_read_from_text_and_refused_with_a_reason() {
         assert!(Region::parse_frustum(bad).is_err(), "{bad}");
     }
 }
+
+proptest! {
+    #[test]
+    fn a_closed_box_has_the_points_on_its_faces_and_none_beyond(
+        phase in 0_i128..10_000_000_000_000_000, at in -1_000_000_i64..1_000_000, nearest in any::<bool>(),
+    ) {
+        // Of a phase with 16 digits the float above a face may be above the next point, too: that one was taken with it.
+        let lattice = Lattice::new([Decimal::new(1, -3); 3], [Decimal::new(phase, -19); 3]).unwrap();
+        let index = (BIAS + at) as u64;
+        // A face as a user has it: from a table of exact decimals, or from an array.
+        let exact = lattice.decimal_on_axis(0, index);
+        let face = if nearest { exact.to_f64() } else { lattice.world_on_axis(0, index) };
+        let inf = f64::INFINITY;
+        let open = Region::new_box([-inf; 3], [face, inf, inf]).unwrap();
+        let last = |region: &Region| region.on_lattice(&lattice).unwrap().as_box().unwrap().max.0;
+        let closed = last(&open.closed_on(&lattice));
+        prop_assert_eq!(closed, [index, (1 << 48) - 1, (1 << 48) - 1]);
+        let is_above = Decimal::from_f64(face).unwrap() > exact;
+        prop_assert_eq!(last(&open)[0], if is_above { index } else { index - 1 });
+        // Between two points there is nothing to close.
+        let between = (face + lattice.world_on_axis(0, index + 1)) / 2.0;
+        let open = Region::new_box([-inf; 3], [inf, between, inf]).unwrap();
+        prop_assert_eq!(open.closed_on(&lattice), open);
+    }
+}

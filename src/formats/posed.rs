@@ -18,7 +18,7 @@ pub(super) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dy
     let scale = info.las.as_ref().map(|l| (l.scale, l.offset));
     let grid = info.grid.map(|g| scale.unwrap_or((g.scale.map(|d| d.to_f64()), g.offset.map(|d| d.to_f64()))));
     // The grid belongs to another frame.
-    info.grid = None;
+    (info.grid, info.step) = (None, None);
     info.pose = pose;
     let hint = |(min, max): ([f64; 3], [f64; 3])| pose.world_bounds(min, max);
     info.bounds_hint = info.bounds_hint.map(hint).filter(|(a, b)| a.iter().chain(b).all(|v| v.is_finite()));

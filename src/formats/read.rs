@@ -2,7 +2,7 @@
 
 use super::FormatError;
 use crate::geometry::Pose;
-use crate::lattice::SourceGrid;
+use crate::lattice::{Decimal, SourceGrid};
 use crate::points::{Crs, LasFacts, RecordLayout};
 use std::path::{Path, PathBuf};
 
@@ -27,6 +27,8 @@ pub struct SourceInfo {
     pub missing: u64,
     /// The source's integer grid; `None` for floating-point sources.
     pub grid: Option<SourceGrid>,
+    /// Without a grid: the step that a store should have for these coordinates, if the source can tell.
+    pub step: Option<Decimal>,
     /// Bounds as the header gives them: a hint that may lie; `None` where there is none or it is not finite.
     pub bounds_hint: Option<([f64; 3], [f64; 3])>,
     /// How records are laid out.
@@ -52,6 +54,7 @@ impl SourceInfo {
             records,
             missing,
             grid: None,
+            step: None,
             bounds_hint: None,
             layout,
             crs: None,

@@ -8,6 +8,8 @@ use crate::lattice::{Decimal, Lattice, SourceGrid};
 pub(super) struct Evidence {
     /// The source's integer grid, if it has one.
     pub grid: Option<SourceGrid>,
+    /// Steps that do for its coordinates, where it has no grid and says so.
+    pub step: Option<Decimal>,
     /// World bounds: of the points where there is no grid, else the header's.
     pub bounds: Option<([f64; 3], [f64; 3])>,
     /// Degrees in plan?
@@ -61,10 +63,11 @@ pub(super) fn choose(evidence: &[Evidence], wish: &LatticeWish) -> Result<(Latti
 }
 
 fn finest(evidence: &[Evidence], notes: &mut Vec<String>) -> [Decimal; 3] {
-    let own = evidence.iter().map(|e| match (&e.grid, e.bounds) {
-        (Some(grid), _) => grid.scale,
-        (None, Some((min, max))) => [for_extent((0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max)); 3],
-        (None, None) => [Decimal::new(1, -3); 3],
+    let own = evidence.iter().map(|e| match (&e.grid, e.step, e.bounds) {
+        (Some(grid), ..) => grid.scale,
+        (None, Some(step), _) => [step; 3],
+        (None, None, Some((min, max))) => [for_extent((0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max)); 3],
+        (None, None, None) => [Decimal::new(1, -3); 3],
     });
     let per_axis = own.reduce(|a, b| std::array::from_fn(|i| a[i].min(b[i]))).unwrap_or([Decimal::new(1, -3); 3]);
     let one = per_axis[0].min(per_axis[1]).min(per_axis[2]);
@@ -104,7 +107,7 @@ mod tests {
 
     fn las(scale: f64, offset: f64) -> Evidence {
         let grid = SourceGrid::from_f64([scale; 3], [offset; 3]);
-        Evidence { grid, bounds: None, geographic: false }
+        Evidence { grid, bounds: None, step: None, geographic: false }
     }
 
     fn quantum(evidence: &[Evidence]) -> f64 {
@@ -119,7 +122,8 @@ mod tests {
 
     #[test]
     fn sources_without_a_scale_get_a_power_of_ten_by_extent() {
-        let cloud = |extent: f64| Evidence { grid: None, bounds: Some(([0.0; 3], [extent; 3])), geographic: false };
+        let cloud =
+            |extent: f64| Evidence { grid: None, bounds: Some(([0.0; 3], [extent; 3])), step: None, geographic: false };
         assert_eq!(quantum(&[cloud(0.15)]), 1e-6);
         assert_eq!(quantum(&[cloud(10.0)]), 1e-5);
         assert_eq!(quantum(&[cloud(99.0)]), 1e-5);
@@ -147,7 +151,7 @@ mod tests {
     fn degrees_keep_a_quantum_per_axis() {
         let grid = SourceGrid::from_f64([1e-7, 1e-7, 0.01], [0.0; 3]);
         let (lattice, notes) =
-            choose(&[Evidence { grid, bounds: None, geographic: true }], &LatticeWish::default()).unwrap();
+            choose(&[Evidence { grid, bounds: None, step: None, geographic: true }], &LatticeWish::default()).unwrap();
         assert_eq!(lattice.quantum_f64(), [1e-7, 1e-7, 0.01]);
         assert_eq!(notes.len(), 1);
     }

@@ -175,6 +175,7 @@ fn evidence(sources: &[Source], measured: &[Option<WorldBounds>]) -> Vec<Evidenc
     let of = |(source, bounds): (&Source, &Option<WorldBounds>)| Evidence {
         grid: source.reader.info().grid,
         bounds: *bounds,
+        step: source.reader.info().step,
         geographic: source.crs.as_ref().is_some_and(Crs::is_geographic),
     };
     sources.iter().zip(measured).map(of).collect()

@@ -53,6 +53,27 @@ fn what_las_cannot_hold_goes_out_in_other_forms() {
     assert!(!fs::exists(at("scaled.csv")).unwrap());
 }
 
+/// Text of six digits over five kilometres was rounded to a millimetre, where LAS can take hundredths of that out again.
+#[test]
+fn wide_text_keeps_as_many_digits_as_las_can_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let rows = "690000.123456 5330000.654321 500.111111\n695000.123454 5335000.654324 500.222222\n";
+    fs::write(at("a.xyz"), rows).unwrap();
+    let report = esker_ok(&["ingest", &at("a.esker"), &at("a.xyz")]);
+    assert!(report.contains("positions rounded, off by at most 4.000e-6"), "{report}");
+    let text = esker_ok(&["query", &at("a.esker"), "-o", "-", "--format", "csv"]);
+    for row in ["690000.12346,5330000.65432,500.11111", "695000.12345,5335000.65432,500.22222"] {
+        assert!(text.contains(row), "{text}");
+    }
+    esker_ok(&["query", &at("a.esker"), "-o", &at("a.las")]);
+    let las = RawLas::read(Path::new(&at("a.las"))).unwrap();
+    assert_eq!((las.header.x_scale_factor, las.records.len()), (0.00001, 2));
+    // All of them, where somebody asks for them.
+    let report = esker_ok(&["ingest", &at("b.esker"), &at("a.xyz"), "--quantum", "0.000001"]);
+    assert!(report.contains("positions exact"), "{report}");
+}
+
 /// A scan's number is another one's name: its file had that one's columns.
 #[test]
 fn a_split_gives_each_scan_its_own_columns_whatever_it_is_called() {

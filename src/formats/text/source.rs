@@ -37,10 +37,8 @@ impl TextSource {
     pub fn new(rows: Rows, roles: &[Role], kinds: &Kinds, floats: bool) -> Self {
         let Rows { file, format, place, survey, announced } = rows;
         let mut warnings = Vec::new();
-        let coordinates = match grid(&survey, &place) {
-            Some(grid) if !floats => grid,
-            _ => Coordinates::World,
-        };
+        let digits = if floats { None } else { Digits::of(&survey, &place) };
+        let coordinates = digits.as_ref().and_then(Digits::grid).unwrap_or(Coordinates::World);
         let position = match coordinates {
             Coordinates::World => PositionKind::World,
             Coordinates::Grid { .. } => PositionKind::Grid,
@@ -117,6 +115,7 @@ impl TextSource {
                 offset: center.map(|c| Decimal::new(c, exponent)),
             });
         }
+        info.step = digits.and_then(|d| d.coarser_step()).filter(|_| coordinates == Coordinates::World);
         let axis = |i: usize| survey.columns.get(place.axes[i]).map(|c| (c.min, c.max));
         if let (Some(x), Some(y), Some(z)) = (axis(0), axis(1), axis(2)) {
             let bounds = [x, y, z];
@@ -142,21 +141,44 @@ fn not_kept(file: &SourceFile, name: &str, column: &Column) -> Option<String> {
     }
 }
 
-/// The grid on which all coordinates lie, by their digits.
-fn grid(survey: &Survey, place: &Place) -> Option<Coordinates> {
-    if survey.nothing > 0 || survey.rows == 0 {
-        return None;
+/// Coordinates that are all decimals of few digits behind the point.
+struct Digits<'a> {
+    axes: [&'a Column; 3],
+    /// The most that one of them has.
+    needed: u8,
+}
+
+impl<'a> Digits<'a> {
+    fn of(survey: &'a Survey, place: &Place) -> Option<Self> {
+        if survey.nothing > 0 || survey.rows == 0 {
+            return None;
+        }
+        let axes = place.axes.map(|i| survey.columns.get(i));
+        let axes = [axes[0]?, axes[1]?, axes[2]?];
+        let needed = axes.iter().map(|c| c.decimals).max()?;
+        let few = needed <= MOST_DECIMALS && axes.iter().all(|c| c.decimal && c.absent == 0);
+        few.then_some(Self { axes, needed })
     }
-    let axes = place.axes.map(|i| survey.columns.get(i));
-    let axes = [axes[0]?, axes[1]?, axes[2]?];
-    let needed = axes.iter().map(|c| c.decimals).max()?;
-    if needed > MOST_DECIMALS || !axes.iter().all(|c| c.decimal && c.absent == 0) {
-        return None;
+
+    /// The grid on which all of them lie.
+    fn grid(&self) -> Option<Coordinates> {
+        let all = [self.needed.max(FEWEST_DECIMALS), self.needed];
+        all.into_iter().find_map(|decimals| Some(Coordinates::Grid { decimals, center: self.center(decimals)? }))
     }
-    [needed.max(FEWEST_DECIMALS), needed].into_iter().find_map(|decimals| {
+
+    /// Where 32 bits do not hold all digits, the finest step that they hold: so a store is not finer than what LAS can
+    /// take out of it, nor coarser than that asks for.
+    fn coarser_step(&self) -> Option<Decimal> {
+        let fits = |decimals: &u8| self.center(*decimals).is_some();
+        let decimals = (FEWEST_DECIMALS..self.needed).rev().find(fits)?;
+        Some(Decimal::new(1, -i32::from(decimals)))
+    }
+
+    /// A place in the middle from which 32 bits of steps of so many decimals reach all of them, in such steps.
+    fn center(&self, decimals: u8) -> Option<[i128; 3]> {
         let unit = 10_f64.powi(decimals.into());
         let mut center = [0; 3];
-        for (center, column) in center.iter_mut().zip(axes) {
+        for (center, column) in center.iter_mut().zip(self.axes) {
             // A whole number of units in the middle.
             let middle = (column.min / 2.0 + column.max / 2.0).round();
             let reach = (column.max - middle).max(middle - column.min) * unit;
@@ -165,8 +187,8 @@ fn grid(survey: &Survey, place: &Place) -> Option<Coordinates> {
             }
             *center = middle as i128 * 10_i128.pow(decimals.into());
         }
-        Some(Coordinates::Grid { decimals, center })
-    })
+        Some(center)
+    }
 }
 
 impl PointSource for TextSource {

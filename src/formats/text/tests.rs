@@ -217,6 +217,24 @@ fn coordinates_with_few_digits_lie_on_their_own_grid() {
 }
 
 #[test]
+fn digits_that_32_bits_do_not_hold_are_a_step_as_fine_as_they_hold() {
+    // Six digits over five kilometres were rounded to a millimetre.
+    let step = |text: &str| {
+        let all = opened("a.xyz", text);
+        let info = all[0].info();
+        (info.grid.is_some(), info.step.map(|step| step.to_string()))
+    };
+    let wide = |width: u32| format!("690000.123456 5330000.5 500\n{}.654321 5330000.5 500\n", 690_000 + width);
+    assert_eq!(step(&wide(4_200)), (true, None));
+    assert_eq!(step(&wide(5_000)), (false, Some("0.00001".to_owned())));
+    assert_eq!(step(&wide(400_000)), (false, Some("0.0001".to_owned())));
+    assert_eq!(step(&wide(4_000_000)), (false, Some("0.001".to_owned())));
+    assert_eq!(step(&wide(8_000_000)), (false, None));
+    assert_eq!(step("0 0 0\n9000000 1 1\n"), (true, None));
+    assert_eq!(step("1e0 2 3\n"), (false, None));
+}
+
+#[test]
 fn blocks_of_pts_are_sources() {
     let all = opened("a.pts", "2\n1 2 3 -100 1 2 3\n4 5 6 200 4 5 6\n1\n7 8 9\n0\n");
     assert_eq!(all.len(), 3);

@@ -121,9 +121,10 @@ pub enum IngestError {
         /// Its phase per axis.
         phase: String,
     },
-    /// Scale and offset of a source have too many digits for exact arithmetic.
+    /// Scale or offset of a source don't fit exact arithmetic.
     #[error(
-        "{0}: its scale and offset have too many digits for exact arithmetic; rewrite it with a scale such as 0.001"
+        "{0}: its scale has too many digits for exact arithmetic beside the quantum, or its offset is far off all \
+         coordinates; rewrite it with a scale such as 0.001 and an offset near its points"
     )]
     Grid(PathBuf),
     /// Every point of a source is out of the lattice's range.

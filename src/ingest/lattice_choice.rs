@@ -50,16 +50,14 @@ pub(super) fn choose(evidence: &[Evidence], wish: &LatticeWish) -> Result<(Latti
             }
             phase
         }
-        None => std::array::from_fn(|axis| common_residue(evidence, axis, quantum[axis])),
+        None => std::array::from_fn(|axis| {
+            let residue = common_residue(evidence, axis, quantum[axis]);
+            // An offset with so many digits that its residue does not fit is treated as one that disagrees.
+            let fits = Lattice::new([quantum[axis]; 3], [residue; 3]).is_ok();
+            if fits { residue } else { Decimal::ZERO }
+        }),
     };
-    // An offset with so many digits that its residue does not fit is treated as one that disagrees.
-    let lattice = match Lattice::new(quantum, phase) {
-        Err(crate::lattice::LatticeError::Quantum(_)) if wish.phase.is_none() => {
-            Lattice::new(quantum, [Decimal::ZERO; 3])
-        }
-        other => other,
-    }?;
-    Ok((lattice, notes))
+    Ok((Lattice::new(quantum, phase)?, notes))
 }
 
 fn finest(evidence: &[Evidence], notes: &mut Vec<String>) -> [Decimal; 3] {
@@ -145,6 +143,14 @@ mod tests {
         assert_eq!(phase(&[las(0.01, 12.005), las(0.01, 3.005)]), 0.005);
         assert_eq!(phase(&[las(0.01, 12.005), las(0.01, 3.0)]), 0.0);
         assert_eq!(phase(&[las(0.01, 12.0), las(0.1, 3.05)]), 0.0);
+    }
+
+    #[test]
+    fn an_offset_of_noise_gives_no_phase_and_leaves_those_of_other_axes() {
+        let grid = SourceGrid::from_f64([0.01; 3], [-1.2345678901234567e-17, 12.005, 5e-324]);
+        let evidence = Evidence { grid, bounds: None, step: None, geographic: false };
+        let (lattice, _) = choose(&[evidence], &LatticeWish::default()).unwrap();
+        assert_eq!(lattice.phase().map(Decimal::to_f64), [0.0, 0.005, 0.0]);
     }
 
     #[test]

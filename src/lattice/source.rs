@@ -51,8 +51,12 @@ pub struct SourceMap {
 #[derive(Clone, Copy, Debug)]
 struct AxisMap {
     scale: i128,
+    /// Where [`AxisMap::is_cut`], a number between the same two multiples of the other units' last digit as the offset.
     offset: i128,
     quantum: i128,
+    /// Does the offset have more digits than fit? It is then less than a unit off, and every point at the place and the
+    /// record that the whole offset gives: half-way cases are of the other numbers' digits.
+    is_cut: bool,
     /// `(multiplier, addend)` with `index = multiplier * X + addend`, where the grids coincide.
     exact: Option<(i64, i64)>,
 }
@@ -75,27 +79,10 @@ impl SourceGrid {
 }
 
 impl SourceMap {
-    /// The map from `grid` to `lattice`; `None` if the numbers have too many digits for exact arithmetic.
+    /// The map from `grid` to `lattice`; `None` if quantum or scale have too many digits for exact arithmetic, or the offset
+    /// is beyond all bounds. Digits of the offset that are far below those of the others decide nothing and do not count.
     pub fn new(grid: &SourceGrid, lattice: &Lattice) -> Option<Self> {
-        let axis = |i: usize| {
-            let Axis { quantum, phase, exponent } = lattice.axis(i);
-            let (scale, offset) = (grid.scale[i], grid.offset[i]);
-            let unit = Decimal::new(1, exponent).common_exponent(scale).min(offset.common_exponent(scale));
-            let factor = 10_i128.checked_pow(u32::try_from(exponent - unit).ok()?)?;
-            // Twice `scale * X + offset + quantum`, X below 2^31, must fit.
-            let fits = |v: i128, bits: u32| (v.unsigned_abs() < 1 << bits).then_some(v);
-            let quantum = fits(quantum.checked_mul(factor)?, 90)?;
-            let scale = fits(scale.scaled_to(unit)?, 90)?;
-            let offset = fits(offset.scaled_to(unit)?.checked_sub(phase.checked_mul(factor)?)?, 120)?;
-            let exact = (scale % quantum == 0 && offset % quantum == 0)
-                .then(|| {
-                    let multiplier = i64::try_from(scale / quantum).ok().filter(|m| *m < 1 << 30)?;
-                    let addend = i64::try_from(offset / quantum).ok().filter(|a| a.abs() < 1 << 61)?;
-                    Some((multiplier, addend + BIAS))
-                })
-                .flatten();
-            Some(AxisMap { scale, offset, quantum, exact })
-        };
+        let axis = |i: usize| AxisMap::new(grid.scale[i], grid.offset[i], lattice.axis(i));
         Some(Self { axes: [axis(0)?, axis(1)?, axis(2)?] })
     }
 
@@ -142,13 +129,58 @@ impl SourceMap {
         i32::try_from(-(-twice).div_euclid(2 * a.scale)).ok()
     }
 
-    /// The distance on `axis`, in CRS units, between source integer `x` and lattice index `index`.
+    /// The distance on `axis`, in CRS units, between source integer `x` and lattice index `index`. Where digits of the offset
+    /// were cut, it is at most so much: less than two units of the finest digit that is left beyond it.
     pub fn error(&self, axis: usize, x: i32, index: u64, lattice: &Lattice) -> f64 {
         let a = &self.axes[axis];
         let steps = i128::from(index) - i128::from(BIAS);
-        let units = (i128::from(x) * a.scale + a.offset - steps * a.quantum).unsigned_abs();
+        let off = (i128::from(x) * a.scale + a.offset - steps * a.quantum).unsigned_abs();
+        let units = off + u128::from(a.is_cut);
         units as f64 / a.quantum as f64 * lattice.quantum_f64()[axis]
     }
+}
+
+impl AxisMap {
+    fn new(scale: Decimal, offset: Decimal, axis: Axis) -> Option<Self> {
+        // The last digit of everything but the offset.
+        let last = Decimal::new(1, axis.exponent).common_exponent(scale);
+        let whole = last.min(offset.common_exponent(scale));
+        // The finest unit in which all fits; where digits of the offset are cut, one below the last digit at least, so that
+        // what is left of it can lie between two of those.
+        (whole..last).chain([last]).find_map(|unit| Self::in_units(scale, offset, axis, last, unit))
+    }
+
+    /// In units of `10^unit`; `None` if that does not fit.
+    fn in_units(scale: Decimal, offset: Decimal, axis: Axis, last: i32, unit: i32) -> Option<Self> {
+        // Twice `scale * X + offset + quantum`, X below 2^31, must fit, and twice `index * quantum - offset`.
+        let fits = |v: i128, bits: u32| (v.unsigned_abs() < 1 << bits).then_some(v);
+        let factor = 10_i128.checked_pow(u32::try_from(axis.exponent.checked_sub(unit)?).ok()?)?;
+        let quantum = fits(axis.quantum.checked_mul(factor)?, 78)?;
+        let scale = fits(scale.scaled_to(unit)?, 90)?;
+        let (offset, is_cut) = match offset.scaled_to(unit) {
+            Some(offset) => (offset, false),
+            None if unit < last && offset.exponent() < unit => (cut(offset, unit), true),
+            None => return None,
+        };
+        let offset = fits(offset.checked_sub(axis.phase.checked_mul(factor)?)?, 120)?;
+        let exact = (scale % quantum == 0 && offset % quantum == 0)
+            .then(|| {
+                let multiplier = i64::try_from(scale / quantum).ok().filter(|m| *m < 1 << 30)?;
+                let addend = i64::try_from(offset / quantum).ok().filter(|a| a.abs() < 1 << 61)?;
+                Some((multiplier, addend + BIAS))
+            })
+            .flatten();
+        Some(Self { scale, offset, quantum, is_cut, exact })
+    }
+}
+
+/// A whole number of units of `10^unit` that is less than one unit from `number`, which has digits below it, and lies as
+/// `number` does to all multiples of five units.
+fn cut(number: Decimal, unit: i32) -> i128 {
+    let digits = u32::try_from(unit.saturating_sub(number.exponent())).unwrap_or(u32::MAX);
+    let below = || if number.mantissa() < 0 { -1 } else { 0 };
+    let floor = 10_i128.checked_pow(digits).map_or_else(below, |one| number.mantissa().div_euclid(one));
+    if floor.rem_euclid(5) == 0 { floor + 1 } else { floor }
 }
 
 #[cfg(test)]
@@ -184,6 +216,58 @@ mod tests {
                 prop_assert_eq!(error, 0.0);
             }
         }
+    }
+
+    proptest! {
+        #[test]
+        fn digits_far_below_all_others_decide_ties_and_nothing_else(
+            (scale, quantum) in prop::sample::select(vec![(1000, 1000), (10_000, 1000), (1000, 10_000), (1500, 1000), (250, 500)]),
+            base in -400_i128..400, digits in 29_i32..=34, sign in prop::sample::select(vec![-1, 1]),
+            x in prop_oneof![-20_i32..20, any::<i32>()], near in -40_i64..40,
+        ) {
+            // All in millionths; the offset is a multiple of 50 of them and a last digit far below, as numerical noise is.
+            let base = base * 50;
+            let noise = Decimal::new(base * 10_i128.pow(digits as u32 - 6) + sign, -digits);
+            let grid = SourceGrid { scale: [Decimal::new(scale, -6); 3], offset: [noise; 3] };
+            let lattice = Lattice::new([Decimal::new(quantum, -6); 3], [Decimal::ZERO; 3]).unwrap();
+            let map = SourceMap::new(&grid, &lattice).unwrap();
+            // The same rounding, where the noise is a twentieth of a millionth.
+            let steps = (20 * (i128::from(x) * scale + base) + 10 * quantum + sign).div_euclid(20 * quantum);
+            let index = map.to_lattice(1, x).unwrap();
+            prop_assert_eq!(i128::from(index), steps + i128::from(BIAS));
+            let back = |steps: i128| -(10 * scale + sign - 20 * (steps * quantum - base)).div_euclid(20 * scale);
+            let other = (BIAS + near) as u64;
+            prop_assert_eq!(map.from_lattice(1, other).map(i128::from), Some(back(near.into())));
+            let error = ((i128::from(x) * scale + base - steps * quantum) as f64 / 1e6).abs();
+            prop_assert!((map.error(1, x, index, &lattice) - error).abs() < 1e-15);
+            if quantum <= scale {
+                prop_assert_eq!(map.from_lattice(1, index), Some(x));
+                prop_assert_eq!(map.exactness(), Exactness::Recoverable);
+            } else {
+                prop_assert_eq!(map.exactness(), Exactness::Rounded);
+            }
+        }
+    }
+
+    #[test]
+    fn an_offset_of_noise_is_taken() {
+        // They were refused for having too many digits; only their number decided.
+        let lattice = Lattice::uniform(0.001).unwrap();
+        for offset in [1.2345678901234567e-17, -1.2345678901234567e-17, 1.234567890123456e-25, 5e-324, -5e-324] {
+            let map = SourceMap::new(&grid(0.001, offset), &lattice).unwrap();
+            assert_eq!((map.exactness(), map.affine()), (Exactness::Recoverable, None));
+            for x in [i32::MIN, -1, 0, 1, i32::MAX] {
+                let index = map.to_lattice(0, x).unwrap();
+                assert_eq!((index as i64 - BIAS, map.from_lattice(0, index)), (i64::from(x), Some(x)));
+                let error = map.error(0, x, index, &lattice);
+                assert!(offset.abs() <= error && error < offset.abs() * 1.000_001 + 1e-25, "{offset}: {error}");
+            }
+        }
+        // At the ends of the lattice nothing overflows.
+        let map = SourceMap::new(&grid(0.001, 1.2345678901234567e-17), &lattice).unwrap();
+        assert_eq!(map.from_lattice(0, 0), None);
+        assert_eq!(map.from_lattice(0, (1 << BITS) - 1), None);
+        assert!(SourceMap::new(&grid(0.001, 1e40), &lattice).is_none());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Law 2 on every real file: what goes in comes out, bit for bit.
 
-use crate::support::{RawLas, data_files, esker, esker_ok};
+use crate::support::{RawLas, TinyLas, data_files, esker, esker_ok};
 use esker::formats::{ReadOptions, open};
 use esker::lattice::{Lattice, LatticePoint};
 use esker::store::Store;
@@ -112,4 +112,28 @@ fn every_ply_file_comes_back_within_half_a_quantum() {
     }
     println!("{compared} PLY files the same");
     assert!(compared >= 10 || data_files(&["ply"]).is_empty());
+}
+
+#[test]
+fn an_offset_of_noise_is_kept_and_so_are_the_records() {
+    // What writers put there that take the mean of a centred cloud. The file was refused, and its scale was blamed.
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut las = TinyLas::new(1);
+    for i in -50..50 {
+        las.push([i, 7 * i, i32::MAX - i.abs()], i.unsigned_abs().into());
+    }
+    let mut file = las.bytes();
+    let offsets = [1.2345678901234567e-17, -1.234567890123456e-25, 5e-324_f64];
+    for (i, offset) in offsets.iter().enumerate() {
+        file[155 + 8 * i..163 + 8 * i].copy_from_slice(&offset.to_le_bytes());
+    }
+    fs::write(at("noise.las"), file).unwrap();
+    let report = esker_ok(&["ingest", &at("s.esker"), &at("noise.las")]);
+    assert!(report.contains("100 points stored; positions recoverable, off by at most 1.235e-17"), "{report}");
+    esker_ok(&["verify", &at("s.esker"), "--deep"]);
+    esker_ok(&["query", &at("s.esker"), "-o", &at("back.las")]);
+    let [before, after] = ["noise.las", "back.las"].map(|name| RawLas::read(Path::new(&at(name))).unwrap());
+    assert_eq!([after.header.x_offset, after.header.y_offset, after.header.z_offset], offsets);
+    assert_eq!(before.sorted(), after.sorted());
 }

@@ -204,7 +204,8 @@ fn scan_rows(
         scans.push(Scan {
             id: writer.reserve_scan(),
             name: source.name.clone(),
-            source: info.path.display().to_string(),
+            // Wherever `replace` is run, it means this file.
+            source: std::path::absolute(&info.path).unwrap_or_else(|_| info.path.clone()).display().to_string(),
             source_bytes: source.bytes,
             identity: source.identity(content),
             time: now,

@@ -50,6 +50,14 @@ pub enum IngestError {
         /// The scan.
         name: String,
     },
+    /// A source that is to be read again is known by a path from a folder that nobody knows.
+    #[error("'{name}' came from {path}, and the store does not say in which folder that is; name the file")]
+    Relative {
+        /// The source.
+        path: PathBuf,
+        /// The scan.
+        name: String,
+    },
     /// The source is there, elsewhere.
     #[error(
         "{scan}: the store has it as '{name}' with another pose or other options; `esker replace` puts it in its place"

@@ -162,8 +162,12 @@ pub(super) fn open(
 }
 
 /// Opens the source of a stored scan again: of its file, the one scan that it was. Where no pose is given, it keeps its own.
+/// A file that has changed is told by its path; a path that hangs on the current folder may be any file, and is refused.
 pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Progress) -> Result<Source, IngestError> {
     let path = PathBuf::from(&old.source);
+    if path.is_relative() {
+        return Err(IngestError::Relative { path, name: old.name.clone() });
+    }
     let opened = |pose: Pose| {
         let poses = vec![pose];
         open(std::slice::from_ref(&path), &IngestOptions { poses, name: None, ..options.clone() }, &[], progress)
@@ -176,7 +180,9 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
         let info = s.reader.info();
         ["", &info.options].iter().any(|o| scan_identity(&content, info.index, &old.pose, o) == old.identity)
     };
-    let number = sources.iter().position(is_old).or_else(|| {
+    let same = sources.iter().position(is_old);
+    let is_same = same.is_some();
+    let number = same.or_else(|| {
         let named = sources.iter().position(|s| s.reader.info().scan_name.as_deref() == Some(&*old.name));
         named.or((sources.len() == 1).then_some(0))
     });
@@ -195,6 +201,9 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
     }
     source.name = options.name.clone().unwrap_or_else(|| old.name.clone());
     source.content = Some(content);
+    if !is_same {
+        source.warnings.push(format!("{} has changed: what it holds now is read", path.display()));
+    }
     Ok(source)
 }
 
@@ -254,4 +263,29 @@ pub(super) fn agree_on_crs(
         notes.push(format!("{without} of the inputs name no CRS and take the site's, {}{from}", crs.describe()));
     }
     Ok((site, notes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ingest::ingest;
+    use crate::store::Store;
+
+    #[test]
+    fn a_relative_source_is_not_read_again() {
+        // It would be whatever lies under that path where somebody happens to be.
+        let folder = tempfile::tempdir().unwrap();
+        let (store, input) = (folder.path().join("s.esker"), folder.path().join("p.xyz"));
+        std::fs::write(&input, "1 2 3\n").unwrap();
+        ingest(&store, &[input], &IngestOptions::default(), &()).unwrap();
+        let scan = Store::open(&store).unwrap().snapshot().unwrap().scans()[0].clone();
+        let again = |scan: &Scan| open_again(scan, &IngestOptions::default(), &()).map(|s| s.reader.info().records);
+        assert_eq!(again(&scan).unwrap(), 1);
+        let relative = Scan { source: "Cargo.toml".into(), ..scan };
+        let refused = again(&relative).unwrap_err().to_string();
+        assert_eq!(
+            refused,
+            "'p' came from Cargo.toml, and the store does not say in which folder that is; name the file"
+        );
+    }
 }

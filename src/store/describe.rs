@@ -113,7 +113,7 @@ pub struct ScanDescription {
     pub id: u32,
     /// Unique in the store.
     pub name: String,
-    /// The path as it was given.
+    /// The file's path, from the root.
     pub source: String,
     /// `las`, `laz`, `e57`, ...
     pub format: String,

@@ -111,6 +111,38 @@ fn space_is_given_back() {
 }
 
 #[test]
+fn a_source_that_is_read_again_is_the_same_file_wherever_that_is_asked() {
+    // It was taken from the folder in which the command ran: another file of that name came into its place, without a word.
+    let place = Place(tempfile::tempdir().unwrap());
+    for (folder, points) in [("a", 3), ("b", 5)] {
+        let mut las = TinyLas::new(1);
+        (0..points).for_each(|i| las.push([i, 2 * i, 7], 1));
+        fs::create_dir(place.path(folder)).unwrap();
+        fs::write(place.path(&format!("{folder}/x.las")), las.bytes()).unwrap();
+    }
+    let run = |folder: &str, arguments: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_esker"));
+        command.args(arguments).current_dir(place.path(folder)).output().unwrap()
+    };
+    let store = place.path("s.esker");
+    assert!(run("a", &["ingest", &store, "x.las"]).status.success());
+    let source = |store: &str| {
+        let scans: serde_json::Value = serde_json::from_str(&esker_ok(&["scans", store, "--json"])).unwrap();
+        scans["scans"][0]["source"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(fs::canonicalize(source(&store)).unwrap(), fs::canonicalize(place.path("a/x.las")).unwrap());
+    let again = run("b", &["replace", &store, "x"]);
+    assert!(again.status.success() && again.stderr.is_empty(), "{again:?}");
+    assert_eq!(count(&store, &[]), 3);
+    // Edited since, it is taken, and that is said.
+    fs::copy(place.path("b/x.las"), place.path("a/x.las")).unwrap();
+    let edited = run("b", &["replace", &store, "x"]);
+    let said = String::from_utf8(edited.stderr).unwrap();
+    assert!(edited.status.success() && said.contains("x.las has changed") && said.contains(&source(&store)), "{said}");
+    assert_eq!(count(&store, &[]), 5);
+}
+
+#[test]
 fn merge_refuses_what_is_not_alike_and_writes_over_nothing() {
     let place = Place::site();
     let (store, other, out) = (place.path("s.esker"), place.path("o.esker"), place.path("out.esker"));

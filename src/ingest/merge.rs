@@ -5,7 +5,7 @@ use super::bulk::{Layer, Room, params};
 use super::context::{Context, Resources};
 use super::gather::ScanColumns;
 use super::layers::scan_table;
-use super::naming::unique_scan_name;
+use super::naming::numbered_name;
 use super::partition::RowPlan;
 use super::progress::{Progress, Stage};
 use super::stored::StoredPoints;
@@ -39,7 +39,7 @@ struct Shard {
     snapshot: Snapshot,
 }
 
-/// Joins `stores` to a new store at `out`; hidden scans stay hidden.
+/// Joins `stores` to a new store at `out`; hidden scans stay hidden, bookmarks are kept.
 ///
 /// # Errors
 ///
@@ -72,8 +72,14 @@ pub fn merge(
                 crs: site.crs.clone(),
             },
         )?;
-        match join(context, &shards, &site, &mut writer) {
-            Ok(merged) => Ok(Merged { seconds: begun.elapsed().as_secs_f64(), notes: notes(&shards, &site), ..merged }),
+        let mut notes = notes(&shards, &site);
+        let joined = bookmarks(&shards, &mut notes).and_then(|bookmarks| {
+            // Before the commit: with it, the store has all or is none.
+            bookmarks.iter().try_for_each(|(name, camera)| writer.put_bookmark(name, camera))?;
+            join(context, &shards, &site, &mut writer)
+        });
+        match joined {
+            Ok(merged) => Ok(Merged { seconds: begun.elapsed().as_secs_f64(), notes, ..merged }),
             Err(error) => {
                 writer.remove_store();
                 Err(error)
@@ -144,6 +150,28 @@ fn notes(shards: &[Shard], site: &Site) -> Vec<String> {
         .collect()
 }
 
+/// The bookmarks of them all: one that several have alike is taken once, one of a name that is taken gets a number.
+fn bookmarks(shards: &[Shard], notes: &mut Vec<String>) -> Result<Vec<(String, String)>, IngestError> {
+    let each = shards.iter().map(|shard| shard.snapshot.bookmarks()).collect::<Result<Vec<_>, _>>()?;
+    let mut names: HashSet<String> = each.iter().flatten().map(|(name, _)| name.clone()).collect();
+    let mut first: HashSet<&str> = HashSet::new();
+    let mut seen = HashSet::new();
+    let mut all = Vec::new();
+    for (shard, bookmarks) in shards.iter().zip(&each) {
+        for (name, camera) in bookmarks.iter().filter(|&bookmark| seen.insert(bookmark)) {
+            if first.insert(name) {
+                all.push((name.clone(), camera.clone()));
+                continue;
+            }
+            let new = numbered_name(name, &mut names);
+            notes
+                .push(format!("{}: its bookmark '{name}' is '{new}': another one has that name", shard.path.display()));
+            all.push((new, camera.clone()));
+        }
+    }
+    Ok(all)
+}
+
 fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Writer) -> Result<Merged, IngestError> {
     let mut merged = Merged::default();
     let mut seen = HashSet::new();
@@ -165,7 +193,7 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
                 .collect();
             scans.push(Scan {
                 id: writer.reserve_scan(),
-                name: unique_scan_name(&scan.name, &mut names),
+                name: numbered_name(&scan.name, &mut names),
                 attributes: writer.add_attributes(&attributes)?,
                 ..(*scan).clone()
             });

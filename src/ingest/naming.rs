@@ -24,11 +24,11 @@ pub(super) fn unique_name(path: &Path, own: Option<&str>, number: Option<u32>, t
             (base, longer)
         }
     };
-    unique_scan_name(&longer.filter(|_| taken.contains(&base)).unwrap_or(base), taken)
+    numbered_name(&longer.filter(|_| taken.contains(&base)).unwrap_or(base), taken)
 }
 
 /// `base`, with a number if it is in `taken` already; `taken` gets it.
-pub(super) fn unique_scan_name(base: &str, taken: &mut HashSet<String>) -> String {
+pub(super) fn numbered_name(base: &str, taken: &mut HashSet<String>) -> String {
     let mut name = base.to_owned();
     let mut number = 2;
     while !taken.insert(name.clone()) {

@@ -143,6 +143,32 @@ fn a_source_that_is_read_again_is_the_same_file_wherever_that_is_asked() {
 }
 
 #[test]
+fn merge_keeps_bookmarks() {
+    // They were lost without a word.
+    let place = Place(tempfile::tempdir().unwrap());
+    fs::write(place.path("p.xyz"), "1 2 3\n4 5 6\n").unwrap();
+    let store = |name: &str, bookmarks: &[(&str, &str)]| {
+        let path = place.path(name);
+        esker_ok(&["ingest", &path, &place.path("p.xyz")]);
+        let mut writer = Store::open(&path).unwrap().writer().unwrap();
+        bookmarks.iter().for_each(|(name, camera)| writer.put_bookmark(name, camera).unwrap());
+        path
+    };
+    let a = store("a.esker", &[("door", "{\"at\":1}"), ("roof", "{\"at\":2}")]);
+    let b = store("b.esker", &[("door", "{\"at\":3}"), ("door-2", "{\"at\":4}"), ("roof", "{\"at\":2}")]);
+    let out = place.path("out.esker");
+    let merged = esker(&["merge", &out, &a, &b, &a]);
+    let said = String::from_utf8(merged.stderr).unwrap();
+    assert!(merged.status.success() && said.contains("b.esker: its bookmark 'door' is 'door-3'"), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+    let kept = Store::open(&out).unwrap().snapshot().unwrap().bookmarks().unwrap();
+    let kept: Vec<(&str, &str)> = kept.iter().map(|(name, camera)| (name.as_str(), camera.as_str())).collect();
+    let all = [("door", "{\"at\":1}"), ("door-2", "{\"at\":4}"), ("door-3", "{\"at\":3}"), ("roof", "{\"at\":2}")];
+    assert_eq!(kept, all);
+    esker_ok(&["verify", &out, "--deep"]);
+}
+
+#[test]
 fn merge_refuses_what_is_not_alike_and_writes_over_nothing() {
     let place = Place::site();
     let (store, other, out) = (place.path("s.esker"), place.path("o.esker"), place.path("out.esker"));

@@ -95,14 +95,22 @@ def test_what_progress_raises_when_all_is_committed_says_so(tmp_path, scans):
     def refuse(stage, done, total):
         raise RuntimeError("enough")
 
-    # It ends before progress is told for the first time.
     (tmp_path / "one.xyz").write_text("1 2 3\n")
-    with pytest.raises(RuntimeError, match="enough") as raised:
-        esker.ingest(tmp_path / "a.esker", tmp_path / "one.xyz", progress=refuse)
-    if sys.version_info >= (3, 11):
-        assert raised.value.__notes__ == ["esker: the change was complete by then, and is committed"]
-    with esker.open(tmp_path / "a.esker") as store:
-        assert len(store) == 1
+    # It mostly ends before progress is told for the first time; on a busy machine it may be told, and refused, in time.
+    for attempt in range(50):
+        path = tmp_path / f"{attempt}.esker"
+        with pytest.raises(RuntimeError, match="enough") as raised:
+            esker.ingest(path, tmp_path / "one.xyz", progress=refuse)
+        committed = 0
+        if path.exists():
+            with esker.open(path) as store:
+                committed = len(store)
+        notes = ["esker: the change was complete by then, and is committed"] if committed else []
+        if sys.version_info >= (3, 11):
+            assert getattr(raised.value, "__notes__", []) == notes
+        if committed:
+            break
+    assert committed == 1
 
 
 def test_keywords_of_a_change_are_checked_by_name(tmp_path, scans):

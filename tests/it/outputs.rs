@@ -277,3 +277,29 @@ fn points_without_a_class_have_a_file_of_their_own() {
     let split = ["query", &store, "--scan", "none", "--split-by", "class", "-o", &at("no.csv")];
     esker_fails(&split, 1, &["the points have no Classification to split by"]);
 }
+
+/// However coarse an answer was, the word counted all points of the store there.
+#[test]
+fn the_word_on_maximum_faces_counts_what_matches() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let head = "x,y,z,classification\n";
+    fs::write(at("a.csv"), format!("{head}0,0,0,1\n1,1,0,1\n2,1,0,1\n2,1,0,2\n1,2,0,2\n")).unwrap();
+    fs::write(at("b.csv"), format!("{head}2,0,0,2\n0,1,0,2\n")).unwrap();
+    let store = at("s.esker");
+    esker_ok(&["ingest", &store, &at("a.csv"), &at("b.csv")]);
+    for detail in [&[][..], &["--level", "3"], &["--capacity", "2"], &["--max-error", "0.001"]] {
+        let told = |which: &[&str]| {
+            let output = esker(&[&["query", &store, "--box", "0,0,2,2", "--count"], detail, which].concat());
+            assert!(output.status.success());
+            String::from_utf8(output.stderr).unwrap()
+        };
+        assert!(told(&[]).contains("4 points lie on the box's maximum faces"), "{detail:?}: {}", told(&[]));
+        let one = told(&["--where", "Classification = 1"]);
+        assert!(one.contains("1 point lies on the box's maximum faces"), "{detail:?}: {one}");
+        let one = told(&["--scan", "b"]);
+        assert!(one.contains("1 point lies on the box's maximum faces"), "{detail:?}: {one}");
+        let none = told(&["--where", "Classification = 1", "--scan", "b"]);
+        assert!(!none.contains("faces"), "{detail:?}: {none}");
+    }
+}

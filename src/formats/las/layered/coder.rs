@@ -118,8 +118,8 @@ impl<'a> Coder<'a> {
     /// The next `bits` bits, all equally probable; at most 32, possibly none.
     #[inline(always)]
     pub fn bits(&mut self, bits: u32) -> u32 {
-        // More than 19 at once would leave the range too narrow.
-        if bits > 19 { self.few_bits(16) | self.few_bits(bits - 16) << 16 } else { self.few_bits(bits) }
+        // More than 19 at once would leave the range too narrow. Of damaged bytes the lower 16 may be 17, and are cut.
+        if bits > 19 { self.few_bits(16) & 0xffff | self.few_bits(bits - 16) << 16 } else { self.few_bits(bits) }
     }
 
     #[inline(always)]

@@ -161,7 +161,8 @@ fn what_the_crate_encodes_comes_back() {
 fn what_is_damaged_comes_out_as_the_crate_says() {
     let (mut decoded_all_the_same, mut refused) = (0, 0);
     let seeds = if std::env::var_os("ESKER_SWEEP").is_some() { 20_000 } else { 200 };
-    for seed in 0..seeds {
+    // In the last ones a number of 16 bits comes out with 17.
+    for seed in (0..seeds).chain([394, 1482, 4946, 7735]) {
         let (items, records, whole, count) = sample(1000 + seed, 400);
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         // The count is not looked at here, and of the layers' sizes the crate believes anything.

@@ -12,6 +12,7 @@ use esker::points::Crs;
 use esker::store::Store;
 use pyo3::prelude::*;
 use serde::Serialize;
+use std::cell::Cell;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -106,6 +107,11 @@ impl Progress for Told {
     }
 }
 
+thread_local! {
+    /// Is a progress callback of a change running on this thread?
+    static IS_TOLD: Cell<bool> = const { Cell::new(false) };
+}
+
 /// Who is told: two functions of the package.
 #[derive(FromPyObject)]
 pub struct Listener {
@@ -146,7 +152,10 @@ impl Listener {
         let stage = *told.stage.lock().unwrap_or_else(PoisonError::into_inner);
         if let (Some(progress), Some(stage)) = (&self.progress, stage) {
             let (done, total) = (told.done.load(Ordering::Relaxed), told.total.load(Ordering::Relaxed));
-            progress.call1(py, (stage.word(), done, total))?;
+            let outer = IS_TOLD.replace(true);
+            let called = progress.call1(py, (stage.word(), done, total));
+            IS_TOLD.set(outer);
+            called?;
         }
         Ok(())
     }
@@ -155,9 +164,15 @@ impl Listener {
 /// As [`run`], of a change. What the listener raises where the change is committed already says so.
 fn change<R: Serialize + Send>(
     py: Python<'_>,
+    wishes: &Wishes,
     listener: &Listener,
     work: impl FnOnce(&dyn Progress) -> Result<R, IngestError> + Send,
 ) -> PyResult<String> {
+    if wishes.wait && IS_TOLD.get() {
+        return Err(misuse(
+            "a progress callback can't wait for a change to end: it may be the one that it is told of; leave out wait",
+        ));
+    }
     let is_committed = AtomicBool::new(false);
     let noted = |told: &dyn Progress| {
         let done = work(told);
@@ -197,7 +212,7 @@ pub fn ingest(
     listener: Listener,
 ) -> PyResult<String> {
     let options = wishes.options()?;
-    change(py, &listener, |told| library::ingest(&path, &inputs, &options, told))
+    change(py, &wishes, &listener, |told| library::ingest(&path, &inputs, &options, told))
 }
 
 /// Takes scans out of a store.
@@ -209,7 +224,7 @@ pub fn remove(
     wishes: Wishes,
     listener: Listener,
 ) -> PyResult<String> {
-    change(py, &listener, |told| library::remove(&path, &scans, &wishes.resources(), told))
+    change(py, &wishes, &listener, |told| library::remove(&path, &scans, &wishes.resources(), told))
 }
 
 /// Puts a file in a scan's place.
@@ -223,7 +238,7 @@ pub fn replace(
     listener: Listener,
 ) -> PyResult<String> {
     let options = wishes.options()?;
-    change(py, &listener, |told| library::replace(&path, &scan, input.as_deref(), &options, told))
+    change(py, &wishes, &listener, |told| library::replace(&path, &scan, input.as_deref(), &options, told))
 }
 
 /// Shows or hides scans.
@@ -236,7 +251,7 @@ pub fn set_visible(
     wishes: Wishes,
     listener: Listener,
 ) -> PyResult<String> {
-    change(py, &listener, |told| library::set_visible(&path, &scans, visible, &wishes.resources(), told))
+    change(py, &wishes, &listener, |told| library::set_visible(&path, &scans, visible, &wishes.resources(), told))
 }
 
 /// Makes one layer of all and gives free space back.
@@ -248,7 +263,7 @@ pub fn compact(
     wishes: Wishes,
     listener: Listener,
 ) -> PyResult<String> {
-    change(py, &listener, |told| library::compact(&path, copy.as_deref(), &wishes.resources(), told))
+    change(py, &wishes, &listener, |told| library::compact(&path, copy.as_deref(), &wishes.resources(), told))
 }
 
 /// Joins stores to a new one.
@@ -260,7 +275,7 @@ pub fn merge(
     wishes: Wishes,
     listener: Listener,
 ) -> PyResult<String> {
-    change(py, &listener, |told| library::merge(&out, &stores, &wishes.resources(), told))
+    change(py, &wishes, &listener, |told| library::merge(&out, &stores, &wishes.resources(), told))
 }
 
 /// The two hashes of what a store holds.

@@ -154,6 +154,8 @@ def test_a_second_writer_is_refused(tmp_path, large, scans):
         if stage == "building" and not refused:
             with pytest.raises(esker.InUseError, match="being written by this process already"):
                 esker.ingest(tmp_path / "a.esker", scans[1])
+            with pytest.raises(esker.EskerError, match="can't wait for a change to end"):
+                esker.ingest(tmp_path / "a.esker", scans[1], wait=True)
             refused.append(stage)
 
     esker.ingest(tmp_path / "a.esker", large.files, progress=meanwhile)

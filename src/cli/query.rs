@@ -86,7 +86,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     force: bool,
     /// Print the number of points, nothing else.
-    #[arg(long, conflicts_with_all = ["output", "json"])]
+    #[arg(long, conflicts_with_all = ["output", "json", "format", "scale", "frame", "split_by"])]
     count: bool,
     /// Say what becomes of the nodes, and why each of the coarsest is taken, tested, refused or cut, instead of giving
     /// points; with --explain=all of every node.
@@ -97,7 +97,7 @@ pub(super) struct Arguments {
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "coarsest",
-        conflicts_with_all = ["output", "count"]
+        conflicts_with_all = ["output", "count", "format", "scale", "frame", "split_by"]
     )]
     explain: Option<Explain>,
     /// One JSON object on stdout.

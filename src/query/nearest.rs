@@ -26,6 +26,9 @@ pub struct Neighbors {
 /// Places that are looked at together: those that are near each other find most of what they need read already.
 const TOGETHER: usize = 256;
 
+/// Farther away squares of distances would have no number.
+const FARTHEST: f64 = 1e150;
+
 impl Query {
     /// The `k` matching points that are nearest to each of `points` and at most `radius` away. Exact; of equally near
     /// points those whose key is least come first.
@@ -45,7 +48,7 @@ impl Query {
     /// # Errors
     ///
     /// As [`Query::run`]; [`QueryError::Combination`] if the query has a level, a capacity or a view;
-    /// [`QueryError::Detail`] if a coordinate is not finite or the radius is negative or NaN.
+    /// [`QueryError::Detail`] if a coordinate is beyond ±1e150 or NaN, or the radius is negative or NaN.
     pub fn nearest(
         &self,
         snapshot: &Snapshot,
@@ -58,8 +61,8 @@ impl Query {
                 "neighbours are looked for among all points; leave out the view, level, spacing, max error and capacity",
             ));
         }
-        if let Some(&value) = points.iter().flatten().find(|c| !c.is_finite()) {
-            return Err(QueryError::Detail { what: "coordinate", value, expected: "a finite number" });
+        if let Some(&value) = points.iter().flatten().find(|c| !(c.abs() <= FARTHEST)) {
+            return Err(QueryError::Detail { what: "coordinate", value, expected: "a number from -1e150 to 1e150" });
         }
         if let Some(value) = radius.filter(|r| !(0.0..).contains(r)) {
             return Err(QueryError::Detail { what: "radius", value, expected: "a length of 0 or more" });

@@ -391,6 +391,17 @@ fn a_value_may_begin_with_a_dash_and_no_option_is_taken_for_one() {
 }
 
 #[test]
+fn how_a_file_is_written_is_not_asked_for_where_none_is() {
+    let place = Place::new();
+    let store = place.store(10);
+    for only in ["--count", "--explain"] {
+        for how in [&["--split-by", "scan"][..], &["--scale", "0.1"], &["--format", "las"], &["--frame", "scan"]] {
+            esker_fails(&[&["query", &store, only], how].concat(), 2, &["cannot be used with", how[0]]);
+        }
+    }
+}
+
+#[test]
 fn an_interrupt_keeps_what_was_committed() {
     let place = Place::new();
     let store = place.store(1000);

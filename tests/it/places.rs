@@ -90,6 +90,7 @@ fn neighbours_and_densities_come_out_of_the_shell() {
     esker_fails(&["nearest", &store, "--at", "3,4"], 1, &["--at '3,4'", "X, Y and Z"]);
     esker_fails(&["nearest", &store, "--at", "3,4,nan"], 1, &["'nan' is no number"]);
     esker_fails(&["nearest", &store, "--at", "3,4,5", "-o", &path("a.las")], 1, &["no place for Place"]);
+    esker_fails(&["nearest", &store, "--at", "3,4,1e300"], 1, &["coordinate", "from -1e150 to 1e150"]);
     esker_fails(&["nearest", &store], 2, &["--at"]);
 
     let mut squares: BTreeMap<[i64; 2], (f64, f64, f64)> = BTreeMap::new();

@@ -8,8 +8,14 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// What stands for "no value" in a grid.
-const NO_DATA: f64 = -9999.0;
+/// What stands for "no value" in a grid: the first of -9999, -99999 and so on that is no value there.
+fn no_data(values: &[f64]) -> f64 {
+    let mut no_data = -9999.0;
+    while values.contains(&no_data) {
+        no_data = no_data * 10.0 - 9.0;
+    }
+    no_data
+}
 
 /// The form of a raster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,8 +77,9 @@ impl Raster<'_> {
         let [across, up] = self.size;
         let [x, y] = self.first.map(|first| self.at(2 * i128::from(first)));
         writeln!(out, "ncols {across}\nnrows {up}\nxllcorner {x}\nyllcorner {y}")?;
-        writeln!(out, "cellsize {}\nNODATA_value {NO_DATA}", self.side)?;
-        let Some((_, values)) = self.bands.first() else { return Ok(()) };
+        let values = self.bands.first().map_or(&[][..], |(_, values)| values);
+        let no_data = no_data(values);
+        writeln!(out, "cellsize {}\nNODATA_value {no_data}", self.side)?;
         let mut line = Vec::new();
         for row in values.chunks(across.max(1)).rev() {
             line.clear();
@@ -80,7 +87,7 @@ impl Raster<'_> {
                 if i > 0 {
                     line.push(b' ');
                 }
-                push_f64(&mut line, if value.is_nan() { NO_DATA } else { value });
+                push_f64(&mut line, if value.is_nan() { no_data } else { value });
             }
             line.push(b'\n');
             out.write_all(&line)?;
@@ -137,6 +144,9 @@ mod tests {
         let head = "ncols 3\nnrows 2\nxllcorner -1\nyllcorner 5\ncellsize 0.5\nNODATA_value -9999\n";
         assert_eq!(written(&bands[..1], RasterFormat::Asc), format!("{head}3 0 4.5\n1 0 2\n"));
         assert_eq!(written(&bands[1..], RasterFormat::Asc), format!("{head}9 -9999 1\n7 -9999 8\n"));
+        let odd = [("Lowest", vec![-9999.0, f64::NAN, -99_999.0, 9.0, 2.0, 1.0])];
+        let head = head.replace("-9999\n", "-999999\n");
+        assert_eq!(written(&odd, RasterFormat::Asc), format!("{head}9 2 1\n-9999 -999999 -99999\n"));
         let table = "X,Y,Count,Lowest\n-0.75,5.25,1,7\n0.25,5.25,2,8\n-0.75,5.75,3,9\n0.25,5.75,4.5,1\n";
         assert_eq!(written(&bands, RasterFormat::Csv), table);
     }

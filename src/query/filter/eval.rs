@@ -2,7 +2,7 @@
 
 use super::bind::{Bound, Source};
 use super::parser::Relation;
-use super::set::{ValueSet, scaled};
+use super::set::{ValueSet, in_any, scaled};
 use crate::points::Column;
 use crate::query::block::Block;
 use crate::query::mask::Mask;
@@ -152,7 +152,7 @@ fn within_bytes<T: Copy>(
 ) -> Mask {
     let table: [bool; 256] = std::array::from_fn(|b| {
         let stored = stored(b as u8);
-        intervals.iter().any(|&(low, high)| (low..=high).contains(&stored))
+        in_any(stored, intervals)
     });
     Mask::where_each(values, |v| table[usize::from(byte(v))])
 }
@@ -171,7 +171,7 @@ where
     match intervals.as_slice() {
         [] => Mask::none(values.len()),
         &[(low, high)] => Mask::where_each(values, |v| low <= v && v <= high),
-        many => Mask::where_each(values, |v| many.iter().any(|&(low, high)| low <= v && v <= high)),
+        many => Mask::where_each(values, |v| in_any(v, many)),
     }
 }
 
@@ -199,10 +199,6 @@ fn within_floats<T: Copy>(values: &[T], value: impl Fn(T) -> f64, intervals: &[(
         }),
         many => Mask::where_each(values, |v| in_any(value(v), many)),
     }
-}
-
-fn in_any(value: f64, intervals: &[(f64, f64)]) -> bool {
-    intervals.iter().any(|&(low, high)| low <= value && value <= high)
 }
 
 /// A value for comparison with another attribute's.

@@ -4,6 +4,7 @@ use super::parser::Relation;
 use crate::lattice::Decimal;
 use crate::points::{ScalarType, Scaling};
 use crate::query::kinds::Widening;
+use std::cmp::Ordering;
 
 /// One end of an interval of exact decimals.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,7 +17,7 @@ enum End {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct DecimalSet(Vec<(End, End)>);
 
-/// The same set on stored values, ready to test.
+/// The same set on stored values, ready to test. Intervals are ascending and apart.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum ValueSet {
     /// Stored integers within one of these, both ends inside. Exact at any size.
@@ -73,7 +74,7 @@ impl DecimalSet {
                 intervals.push((least, greatest));
             }
         }
-        Some(ValueSet::Integers(intervals))
+        Some(ValueSet::Integers(union(intervals)))
     }
 
     /// The set on values in f64: every bound is the float nearest to it.
@@ -94,8 +95,35 @@ impl DecimalSet {
                 intervals.push((least, greatest));
             }
         }
-        ValueSet::Floats { scaling, intervals }
+        ValueSet::Floats { scaling, intervals: union(intervals) }
     }
+}
+
+/// The same numbers in intervals that are ascending and apart.
+fn union<T: PartialOrd + Copy>(mut intervals: Vec<(T, T)>) -> Vec<(T, T)> {
+    // No end is NaN.
+    intervals.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+    intervals.dedup_by(|next, last| {
+        let meets = next.0 <= last.1;
+        if meets && next.1 > last.1 {
+            last.1 = next.1;
+        }
+        meets
+    });
+    intervals
+}
+
+/// Up to so many intervals are quicker tried one after the other.
+const FEW: usize = 8;
+
+/// Is a number in one of these intervals, which are ascending and apart? NaN is in none.
+#[inline(always)]
+pub(super) fn in_any<T: PartialOrd + Copy>(value: T, intervals: &[(T, T)]) -> bool {
+    if intervals.len() <= FEW {
+        return intervals.iter().any(|&(low, high)| low <= value && value <= high);
+    }
+    let at = intervals.partition_point(|&(_, high)| high < value);
+    intervals.get(at).is_some_and(|&(low, high)| low <= value && value <= high)
 }
 
 /// `(value - offset) / scale` rounded down, and whether that was exact.
@@ -164,9 +192,9 @@ impl ValueSet {
 }
 
 fn meets<T: PartialOrd + Copy>(intervals: &[(T, T)], low: T, high: T) -> (bool, bool) {
-    let some = intervals.iter().any(|&(a, b)| a <= high && low <= b);
-    let all = intervals.iter().any(|&(a, b)| a <= low && high <= b);
-    (some, !all)
+    // The first that does not end before.
+    let Some(&(a, b)) = intervals.get(intervals.partition_point(|&(_, end)| end < low)) else { return (false, true) };
+    (a <= high, !(a <= low && high <= b))
 }
 
 fn meets_scaled(scaling: Option<Scaling>, intervals: &[(f64, f64)], low: f64, high: f64) -> (bool, bool) {
@@ -198,7 +226,7 @@ mod tests {
         Relation::GreaterOrEqual,
     ];
 
-    fn holds(relation: Relation, order: std::cmp::Ordering) -> bool {
+    fn holds(relation: Relation, order: Ordering) -> bool {
         match relation {
             Relation::Equal => order.is_eq(),
             Relation::NotEqual => order.is_ne(),
@@ -241,6 +269,38 @@ mod tests {
             let order = stored.partial_cmp(&value.to_f64());
             prop_assert_eq!(inside, order.is_some_and(|o| holds(relation, o)));
         }
+    }
+
+    proptest! {
+        #[test]
+        fn many_intervals_are_searched_as_each_of_them_is_tried(
+            values in prop::collection::vec(-300_i128..300, 0..60),
+            (low, span) in (-320_i128..320, 0_i128..40),
+        ) {
+            let set = DecimalSet::any_of(values.iter().map(|&v| Decimal::new(v, -1)));
+            let ValueSet::Floats { intervals, .. } = set.on_floats(None) else { panic!("floats were asked for") };
+            let tenths = Decimal::new(1, -1);
+            let Some(ValueSet::Integers(integers)) = set.on_integers(tenths, Decimal::ZERO) else { panic!("they fit") };
+            for v in -320..320 {
+                prop_assert_eq!(in_any(Decimal::new(v, -1).to_f64(), &intervals), values.contains(&v));
+                prop_assert_eq!(in_any(v, &integers), values.contains(&v));
+            }
+            prop_assert!(!in_any(f64::NAN, &intervals));
+            let high = low + span;
+            let some = values.iter().any(|v| (low..=high).contains(v));
+            let only = span == 0 && some;
+            prop_assert_eq!(ValueSet::Integers(integers).meets_integers(low, high), (some, !only));
+        }
+    }
+
+    #[test]
+    fn intervals_that_meet_become_one() {
+        assert_eq!(union(vec![(5, 9), (0, 3), (2, 4), (9, 9), (1, 2)]), [(0, 4), (5, 9)]);
+        assert_eq!(
+            union(vec![(0.0, 1.0), (-0.0, -0.0), (f64::NEG_INFINITY, -3.0)]),
+            [(f64::NEG_INFINITY, -3.0), (0.0, 1.0)]
+        );
+        assert_eq!(union::<i128>(vec![]), []);
     }
 
     #[test]

@@ -63,6 +63,7 @@ fn laz_vlr(header: &Header) -> Result<LazVlr, EncodeError> {
 pub(super) fn announce(header: &mut Header) -> Result<(), EncodeError> {
     let mut bytes = Vec::new();
     laz_vlr(header)?.write_to(&mut bytes)?;
+    name_wave_packets(&mut bytes);
     append_vlr(
         &mut header.vlrs.1,
         &vlr(LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, bytes),
@@ -70,6 +71,22 @@ pub(super) fn announce(header: &mut Header) -> Result<(), EncodeError> {
     );
     header.vlrs.0 += 1;
     Ok(())
+}
+
+/// Bytes of a LASzip record before its items, of which each has 6: type, size, version.
+const ITEMS_AT: usize = 34;
+/// The type of an item of wave packets of point formats 4 and 5.
+const WAVE_PACKETS: u16 = 9;
+
+/// Gives wave packets of point formats 4 and 5 the version that they have: LASzip knows only the first, and refuses the
+/// second, which the crate names here (its encoder of the two is one).
+fn name_wave_packets(record: &mut [u8]) {
+    let items = record.get_mut(ITEMS_AT..).unwrap_or_default();
+    for item in items.as_chunks_mut::<6>().0 {
+        if item[..2] == WAVE_PACKETS.to_le_bytes() {
+            item[4..].copy_from_slice(&1_u16.to_le_bytes());
+        }
+    }
 }
 
 impl Encoder {

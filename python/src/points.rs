@@ -4,7 +4,7 @@ use crate::options::Give;
 use crate::waiting::check_process;
 use esker::export::Meeting;
 use esker::lattice::{BIAS, Lattice};
-use esker::points::{Attribute, Batch, Column, ScalarType, Scaling};
+use esker::points::{Attribute, Batch, Column, Real, ScalarType};
 use esker::query::{Query, QueryError};
 use esker::store::Snapshot;
 use esker::store::model::ScanId;
@@ -106,11 +106,8 @@ impl Form {
             }
             (Source::Scan, Column::U32(out)) => out.extend_from_slice(&batch.scans[range]),
             (Source::Scan, _) => {}
-            (Source::Attribute(i), out) => match (self.scaling(i), out) {
-                #[allow(clippy::unnecessary_cast)]
-                (Some(s), Column::F64(out)) => with_column!(&batch.columns[i], v => {
-                    out.extend(v[range].iter().map(|&v| v as f64 * s.scale + s.offset));
-                }),
+            (Source::Attribute(i), out) => match (self.is_scaled(i), out) {
+                (true, Column::F64(out)) => out.extend(Real::values(&self.attributes[i], &batch.columns[i], range)),
                 (_, out) => extend_from(out, &batch.columns[i], range),
             },
         }
@@ -124,7 +121,7 @@ impl Form {
                 Source::Scan => {
                     scatter(&piece.batch.scans[piece.range.clone()], u32::to_ne_bytes, records, size, offset);
                 }
-                Source::Attribute(i) if self.scaling(i).is_none() => {
+                Source::Attribute(i) if !self.is_scaled(i) => {
                     let column = &piece.batch.columns[i];
                     with_column!(column, v => {
                         scatter(&v[piece.range.clone()], |v| v.to_ne_bytes(), records, size, offset);
@@ -140,9 +137,9 @@ impl Form {
         }
     }
 
-    /// How an attribute's values are to be scaled.
-    fn scaling(&self, attribute: usize) -> Option<Scaling> {
-        self.attributes[attribute].scaling.filter(|_| !self.give.raw)
+    /// Are an attribute's values given as real ones, and not as they are stored?
+    fn is_scaled(&self, attribute: usize) -> bool {
+        self.attributes[attribute].scaling.is_some() && !self.give.raw
     }
 
     /// Can a value of the field be null?

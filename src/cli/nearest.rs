@@ -76,6 +76,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let query = query.with_scans(planned.meeting.needs_scans());
+    anyhow::ensure!(k > 0, "--count is 0; it must be 1 or more");
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
     let statistics = serde_json::to_value(&found.statistics)?;
     let Neighbors { mut batch, distances, ends, .. } = found;

@@ -3,9 +3,11 @@
 //! Where only the no-data values differ, stored values stay as they are, and one value that is no valid one of any scan
 //! means "no data" in all. Else the column has the real values as `f64`: of integers those nearest to the exact decimals;
 //! NaN is "no data" there. Integers that an `f64` does not hold are not joined.
+//!
+//! Points whose scan has no such attribute have no data in such a column, nor in one of a single scaling or no-data value: what is
+//! stored for them, 0, would be some height or other.
 
-use crate::lattice::Decimal;
-use crate::points::{Attribute, Column, ScalarType, Scaling};
+use crate::points::{Attribute, Column, Real, ScalarType};
 use crate::store::Snapshot;
 use crate::store::model::{Range, ScanId, Slot, Zones};
 use std::sync::Arc;
@@ -37,18 +39,21 @@ struct Part {
     real: Option<Real>,
 }
 
-/// The column of these attributes, of one name and one type; `None` if one column cannot hold their values.
-pub(super) fn joined(snapshot: &Snapshot, members: &[&Member<'_>]) -> Option<(Attribute, Joined)> {
+/// The column of these attributes, of one name and one type; `None` if one column cannot hold their values. `lacking`: there
+/// are scans that have none of them.
+pub(super) fn joined(snapshot: &Snapshot, members: &[&Member<'_>], lacking: bool) -> Option<(Attribute, Joined)> {
     let ranges = Ranges::of(snapshot);
     let first = members.first()?.attribute;
     let all_have = |same: &dyn Fn(&Attribute) -> bool| members.iter().all(|m| same(m.attribute));
-    let stored =
-        all_have(&|a| a.real_scaling() == first.real_scaling()).then(|| one_no_data(members, &ranges)).flatten();
+    let is_needed = lacking && first.real_scaling().is_some();
+    let stored = all_have(&|a| a.real_scaling() == first.real_scaling())
+        .then(|| one_no_data(members, is_needed, &ranges))
+        .flatten();
     let ty = if stored.is_some() { first.ty } else { ScalarType::F64 };
     if stored.is_none() && !members.iter().all(|m| ranges.fit_f64(m.attribute)) {
         return None;
     }
-    let has_no_data = members.iter().any(|m| m.attribute.no_data.is_some());
+    let has_no_data = lacking || members.iter().any(|m| m.attribute.no_data.is_some());
     let no_data = stored.unwrap_or_else(|| has_no_data.then(|| f64::NAN.to_le_bytes()));
     let part = |m: &&Member<'_>| Part {
         column: m.column,
@@ -70,11 +75,11 @@ pub(super) fn joined(snapshot: &Snapshot, members: &[&Member<'_>]) -> Option<(At
     Some((attribute, Joined { ty, no_data, parts: members.iter().map(part).collect() }))
 }
 
-/// A no-data value for all, if there is one that is no valid value of any; `Some(None)` if none is needed.
-fn one_no_data(members: &[&Member<'_>], ranges: &Ranges) -> Option<Option<[u8; 8]>> {
+/// A no-data value for all, if there is one that is no valid value of any; `Some(None)` if none has one and none is needed.
+fn one_no_data(members: &[&Member<'_>], is_needed: bool, ranges: &Ranges) -> Option<Option<[u8; 8]>> {
     let own = |m: &&Member<'_>| m.attribute.no_data_bytes();
     let ty = members.first()?.attribute.ty;
-    if members.iter().all(|m| own(m) == own(&members[0])) {
+    if members.iter().all(|m| own(m) == own(&members[0])) && (own(&members[0]).is_some() || !is_needed) {
         return Some(own(&members[0]));
     }
     let free =
@@ -158,14 +163,18 @@ impl Joined {
         self.parts.iter().map(|part| part.column)
     }
 
-    /// Its values, from these columns and the scan of each point; zero where a point's scan has none.
+    /// Its values, from these columns and the scan of each point; where a point's scan has none no data, or zero if there is no
+    /// value for that.
     pub fn column(&self, columns: &[Column], scans: &[ScanId]) -> Column {
         let mut out = Column::with_capacity(self.ty, scans.len());
         for run in scans.chunk_by(|a, b| a == b) {
             let start = out.len();
             let found = self.parts.iter().zip(columns).find(|(part, _)| part.scans.binary_search(&run[0]).is_ok());
             let Some((part, column)) = found else {
-                out.resize(start + run.len());
+                match self.no_data {
+                    Some(no_data) => run.iter().for_each(|_| out.push_raw(no_data)),
+                    None => out.resize(start + run.len()),
+                }
                 continue;
             };
             for i in start..start + run.len() {
@@ -180,58 +189,19 @@ impl Joined {
     }
 
     /// What a user should know of it.
-    pub fn note(&self, attribute: &Attribute) -> String {
+    pub fn note(&self, attribute: &Attribute) -> Option<String> {
         let name = &attribute.name;
-        match (self.parts.iter().any(|p| p.real.is_some()), attribute.no_data_value()) {
+        if let [only] = self.parts.as_slice() {
+            let real = || format!("{name}: real values (f64), since no stored value is free to mean \"no data\"");
+            return only.real.is_some().then(real);
+        }
+        Some(match (self.parts.iter().any(|p| p.real.is_some()), attribute.no_data_value()) {
             (true, Some(_)) => {
                 format!("{name} is scaled in different ways: real values (f64), NaN where there is no data")
             }
             (true, None) => format!("{name} is scaled in different ways: real values (f64)"),
             (false, Some(value)) => format!("{name} has several no-data values: one for all, {value} as it is stored"),
             (false, None) => format!("{name} is described in different ways and has one column"),
-        }
-    }
-}
-
-/// Stored values to real ones.
-#[derive(Clone, Copy, Debug)]
-struct Real {
-    scaling: Option<Scaling>,
-    /// The real value of integer `n` is `(factor * n + addend) * 10^exponent`.
-    exact: Option<Exact>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Exact {
-    factor: i128,
-    addend: i128,
-    exponent: i32,
-}
-
-impl Real {
-    fn new(scaling: Option<Scaling>) -> Self {
-        let exact = |s: Scaling| {
-            let (scale, offset) = (Decimal::from_f64(s.scale)?, Decimal::from_f64(s.offset)?);
-            let exponent = scale.common_exponent(offset);
-            let units = |d: Decimal| d.scaled_to(exponent).filter(|m| m.unsigned_abs() < 1 << 62);
-            Some(Exact { factor: units(scale)?, addend: units(offset)?, exponent })
-        };
-        Self { scaling, exact: scaling.and_then(exact) }
-    }
-
-    fn value(&self, column: &Column, i: usize) -> f64 {
-        match (self.scaling, self.exact, column.as_integer(i)) {
-            (None, ..) => column.as_f64(i),
-            (Some(_), Some(Exact { factor, addend, exponent }), Some(n)) => {
-                let units = factor * n + addend;
-                // Both are floats, so their quotient is the nearest one; a power of ten is up to the 22nd.
-                if (-22..=0).contains(&exponent) && units.unsigned_abs() <= 1 << 53 {
-                    units as f64 / 10_f64.powi(-exponent)
-                } else {
-                    Decimal::new(units, exponent).to_f64()
-                }
-            }
-            (Some(s), ..) => column.as_f64(i) * s.scale + s.offset,
-        }
+        })
     }
 }

@@ -54,8 +54,8 @@ impl Meeting {
                 (Some(_), []) => {}
                 (Some(narrow), [wide, ..]) => columns.widen(narrow, &there.all[narrow], wide),
                 (None, []) => members.iter().take(1).for_each(|one| columns.keep(one)),
-                (None, [one]) => columns.keep(one),
-                (None, several) => columns.join(snapshot, several),
+                (None, [one]) if !there.lack(one) => columns.keep(one),
+                (None, some) => columns.join(snapshot, some, there.lack_all(some)),
             }
         }
         let Columns { attributes, made, kinds, mut notes } = columns;
@@ -139,6 +139,17 @@ impl<'a> There<'a> {
         !self.having(&self.all[column]).is_empty()
     }
 
+    /// Do some scans lack this attribute, whose points then have no data and not 0?
+    fn lack(&self, one: &Member<'_>) -> bool {
+        let attribute = one.attribute;
+        (attribute.no_data.is_some() || attribute.real_scaling().is_some()) && self.lack_all(&[one])
+    }
+
+    /// Do some scans have none of these attributes?
+    fn lack_all(&self, members: &[&Member<'_>]) -> bool {
+        self.scans.iter().any(|s| members.iter().all(|m| m.scans.binary_search(&s.id).is_err()))
+    }
+
     /// Neighbouring attributes with their columns and scans.
     fn members(&self, same: &'a [Attribute]) -> Vec<Member<'a>> {
         let first = self.all.iter().position(|a| a.identity() == same[0].identity()).unwrap_or(0);
@@ -193,19 +204,25 @@ impl Columns {
     }
 
     /// Several scalings and no-data values as one, or each for itself where one column can't hold them.
-    fn join(&mut self, snapshot: &Snapshot, several: &[&Member<'_>]) {
-        if let Some((attribute, column)) = joined(snapshot, several) {
+    fn join(&mut self, snapshot: &Snapshot, several: &[&Member<'_>], lacking: bool) {
+        if let Some((attribute, column)) = joined(snapshot, several, lacking) {
             let kinds = several.iter().map(|m| m.attribute.clone()).collect();
-            self.notes.push(column.note(&attribute));
+            self.notes.extend(column.note(&attribute));
             self.put(&attribute, Made::Joined(column), kinds);
             return;
+        }
+        if let [one] = several {
+            return self.keep(one);
         }
         let name = several.first().map_or("", |m| &m.attribute.name);
         self.notes.push(format!(
             "{name} has another scale, offset or no-data value in some scans, and too many digits to be one column: each kind \
              has its own"
         ));
-        several.iter().for_each(|one| self.keep(one));
+        for one in several {
+            // Whatever is joined, the points of the other scans have none of it.
+            if one.attribute.no_data.is_some() { self.join(snapshot, &[one], true) } else { self.keep(one) }
+        }
     }
 }
 

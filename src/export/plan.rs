@@ -69,11 +69,14 @@ pub fn plan(
         let mut names = s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &a.attribute.name);
         names.any(|name| name == wanted)
     };
-    let mut lacking: Vec<&str> = meeting.attributes.iter().map(|a| &*a.name).collect();
-    lacking.retain(|name| scans.iter().any(|s| has(s, name)) && !scans.iter().all(|s| has(s, name)));
-    lacking.dedup();
-    if !lacking.is_empty() {
-        notes.push(format!("some of the scans have no {}: their points have 0 there", lacking.join(", ")));
+    for (what, has_no_data) in [("0", false), ("no data", true)] {
+        let attributes = meeting.attributes.iter().filter(|a| a.no_data.is_some() == has_no_data);
+        let mut lacking: Vec<&str> = attributes.map(|a| &*a.name).collect();
+        lacking.retain(|name| scans.iter().any(|s| has(s, name)) && !scans.iter().all(|s| has(s, name)));
+        lacking.dedup();
+        if !lacking.is_empty() {
+            notes.push(format!("some of the scans have no {}: their points have {what} there", lacking.join(", ")));
+        }
     }
     // Scans without times say nothing of them.
     let timed: Vec<&&Scan> = scans.iter().filter(|s| has(s, "GpsTime")).collect();

@@ -7,6 +7,7 @@ mod crs;
 mod geokeys;
 mod number;
 mod provenance;
+mod real;
 mod record;
 mod wkt;
 
@@ -16,4 +17,5 @@ pub use column::Column;
 pub use number::Number;
 pub(crate) use number::counted;
 pub use provenance::{Crs, LasFacts, RawVlr};
+pub use real::Real;
 pub use record::{Field, FieldKind, PositionKind, RecordLayout};

@@ -193,8 +193,8 @@ pub(crate) fn fill(plan: &Plan, node: &Node, c: u8, holes: &mut [Hole]) -> Resul
     })
 }
 
-/// Searches a node and those below it.
-fn fill_child(plan: &Plan, head: &Node, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
+/// Searches a node and those below it for the least matching points of the holes, which ascend.
+pub(crate) fn fill_child(plan: &Plan, head: &Node, c: u8, holes: &mut [Hole]) -> Result<(), QueryError> {
     plan.cancel.check()?;
     let open = holes.iter().filter(|h| h.is_open(head.cube, &head.subtree_bounds)).count();
     if open == 0 || plan.prospect(head, Scope::Subtree)? == Prospect::Nothing {

@@ -6,10 +6,14 @@
 use crate::geometry::Camera;
 use crate::lattice::{BITS, Cube, Key};
 use crate::octree::Metric;
+use crate::store::NodeIx;
 
 /// A cube in which a cut did not take everything.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Gap {
+    /// The first node of which something was not taken; what was not is in it and below it.
+    pub node: NodeIx,
+    /// Its cube and layer.
     pub cube: Cube,
     pub layer: u16,
     /// The first points of cells of this exponent were taken; `None`: not even that of the whole cube.
@@ -20,6 +24,55 @@ pub(crate) struct Gap {
 
 /// A point that does not match: the layer and the key of where it is.
 pub(crate) type Missed = (u16, Key);
+
+/// Collects the holes of gaps of which none lies in another.
+pub(crate) struct Holes<'g> {
+    gaps: &'g [Gap],
+    /// Numbers of gaps, by layer and first key.
+    places: Vec<usize>,
+    /// The gap's number and the cell's least key.
+    cells: Vec<(usize, Key)>,
+}
+
+impl<'g> Holes<'g> {
+    pub fn new(gaps: &'g [Gap]) -> Self {
+        let mut places: Vec<usize> = (0..gaps.len()).collect();
+        places.sort_by_key(|&i| (gaps[i].layer, gaps[i].cube.first_key()));
+        Self { gaps, places, cells: Vec::new() }
+    }
+
+    /// Takes in points that do not match.
+    pub fn miss(&mut self, missed: impl Iterator<Item = Missed>) {
+        let start = self.cells.len();
+        for (layer, key) in missed {
+            let after =
+                self.places.partition_point(|&i| (self.gaps[i].layer, self.gaps[i].cube.first_key()) <= (layer, key));
+            let Some(&i) = after.checked_sub(1).and_then(|at| self.places.get(at)) else { continue };
+            let gap = &self.gaps[i];
+            if let Some(c) = gap.cell
+                && gap.layer == layer
+                && key <= gap.cube.last_key()
+            {
+                self.cells.push((i, key.floor(c)));
+            }
+        }
+        self.cells[start..].sort_unstable();
+        self.cells.dedup();
+    }
+
+    /// The cells of each gap that has some, ascending, in which there is none of `returned`, which ascend.
+    pub fn empty(mut self, returned: &[Key]) -> Vec<(usize, Vec<Key>)> {
+        self.cells.sort_unstable();
+        self.cells.dedup();
+        let is_empty = |&(i, floor): &(usize, Key)| {
+            let last = self.gaps[i].cell.map_or(floor, |c| floor.ceil(c));
+            returned.get(returned.partition_point(|k| *k < floor)).is_none_or(|k| *k > last)
+        };
+        self.cells.retain(is_empty);
+        let of_gap = |cells: &[(usize, Key)]| (cells[0].0, cells.iter().map(|c| c.1).collect());
+        self.cells.chunk_by(|a, b| a.0 == b.0).map(of_gap).collect()
+    }
+}
 
 /// How far what was left out is from what was returned.
 pub(crate) struct Bound<'g> {
@@ -42,8 +95,9 @@ impl<'g> Bound<'g> {
         Self { returned, gaps, cells }
     }
 
-    /// Takes in points that do not match: in any order, some at a time, each as often as one likes.
-    pub fn miss(&mut self, missed: &mut [Missed]) {
+    /// Takes in holes by a key in each.
+    pub fn miss(&mut self, holes: &[Missed]) {
+        let mut missed = holes.to_vec();
         missed.sort_unstable();
         for (gap, cell) in self.gaps.iter().zip(&mut self.cells) {
             let Some(c) = gap.cell else { continue };

@@ -8,7 +8,7 @@ use super::output::contributing;
 use super::plan::Plan;
 use super::{Answer, Query, QueryError};
 use crate::lattice::{BIAS, Lattice};
-use crate::points::{Attribute, Batch, Column, Number, ScalarType};
+use crate::points::{Attribute, Batch, Column, Number, Real, ScalarType, Scaling};
 use crate::store::Snapshot;
 use crate::store::model::{ScanId, StoredAttribute};
 use crate::with_column;
@@ -127,7 +127,7 @@ impl Form {
                 Some(there) => with_column!(column, v => Running::of(count, |i| v[there[i]] as f64)),
             };
             match (attribute.scaling, column) {
-                (Some(s), _) => Values { running: running.scaled(s.scale, s.offset), whole: None },
+                (Some(s), column) => Values { running: running.scaled(s, column.ty().is_float()), whole: None },
                 (None, Column::U64(v)) => Values { running, whole: ends((0..count).map(|i| v[at(i)].into())) },
                 (None, Column::I64(v)) => Values { running, whole: ends((0..count).map(|i| v[at(i)].into())) },
                 _ => Values { running, whole: None },
@@ -321,9 +321,14 @@ impl Running {
         self.mean += half * (next.count as f64 / self.count as f64) * 2.0;
     }
 
-    fn scaled(self, scale: f64, offset: f64) -> Self {
-        let [a, b, mean] = [self.min, self.max, self.mean].map(|v| v * scale + offset);
-        if self.count == 0 { Self::EMPTY } else { Self { min: a.min(b), max: a.max(b), mean, ..self } }
+    fn scaled(self, scaling: Scaling, is_float: bool) -> Self {
+        if self.count == 0 {
+            return Self::EMPTY;
+        }
+        let real = Real::new(Some(scaling));
+        let end = |v: f64| if is_float { real.of_float(v) } else { real.of_integer(v as i128) };
+        let (a, b) = (end(self.min), end(self.max));
+        Self { min: a.min(b), max: a.max(b), mean: real.of_float(self.mean), ..self }
     }
 
     fn summary(&self, name: &str, ty: &'static str) -> AttributeSummary {

@@ -236,6 +236,11 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
         Ok(seen.then(|| relative.distance_to(DVec3::ZERO).max(near)))
     }
 
+    /// Can a place of this box be on the image?
+    pub fn sees(&self, bounds: &LatticeBox) -> bool {
+        self.lattice.relative(bounds).is_some_and(|relative| self.frustum.classify(&relative) != Containment::Outside)
+    }
+
     fn spacing_px(&self, cell: i16, distance: f64) -> f64 {
         self.camera.pixels_of_length(2_f64.powi(cell.into()) * self.quantum, distance)
     }
@@ -358,7 +363,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
                 });
             } else if !head.leaf && head.children != 0 {
                 let cell = head.cube.k().saturating_sub(self.g);
-                gaps.push(Gap { cube: head.cube, layer: head.layer, cell: Some(cell), distance });
+                gaps.push(Gap { node: head.ix(), cube: head.cube, layer: head.layer, cell: Some(cell), distance });
             }
         }
         gaps
@@ -384,17 +389,17 @@ fn complete_step(head: &NodeHead, taken: usize) -> Option<Step> {
 }
 
 /// A node of which the first parts are there.
-fn partly_taken(head: &NodeHead, taken: usize, g: u8, distance: f64) -> Gap {
+fn partly_taken(head: &Node, taken: usize, g: u8, distance: f64) -> Gap {
     // After the last group of a step all cells of its size have their first point, after another those of twice the size.
     let cell = complete_step(head, taken).map(|s| (i16::from(s.win) + i16::from(s.group < 3)).max(0) as u8);
     let of_parent = (head.cube.k() + 1).saturating_sub(g);
-    Gap { cube: head.cube, layer: head.layer, cell: Some(cell.unwrap_or(of_parent)), distance }
+    Gap { node: head.ix(), cube: head.cube, layer: head.layer, cell: Some(cell.unwrap_or(of_parent)), distance }
 }
 
 /// A node of which nothing is there; its parent, if it is no root, is taken.
 fn not_begun(head: &Node, g: u8, distance: f64) -> Gap {
     let cell = (!head.is_root()).then(|| (head.cube.k() + 1).saturating_sub(g));
-    Gap { cube: head.cube, layer: head.layer, cell, distance }
+    Gap { node: head.ix(), cube: head.cube, layer: head.layer, cell, distance }
 }
 
 /// The bound of a layer of which nothing is there, but a point in the cube `begun`, of another layer: both lie in one cube.

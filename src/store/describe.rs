@@ -5,7 +5,7 @@ use super::info::info;
 use super::model::{Range, Scan, Slot, Zones};
 use super::snapshot::Snapshot;
 use crate::lattice::{Cube, Decimal, Lattice, LatticeBox};
-use crate::points::{Attribute, Number, Scaling};
+use crate::points::{Attribute, Number, Real, Scaling};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -164,8 +164,15 @@ fn range_of(slot: Slot, attribute: &Attribute, zones: &[Arc<Zones>]) -> Option<[
         Range::Float(a, b) => [a, b].map(Number::Float),
         Range::OnlyNan => return None,
     };
-    let Some(scaling) = attribute.scaling else { return Some(ends) };
-    let [a, b] = ends.map(|v| v.to_f64() * scaling.scale + scaling.offset);
+    if attribute.scaling.is_none() {
+        return Some(ends);
+    }
+    let real = Real::new(attribute.scaling);
+    let [a, b] = ends.map(|v| match v {
+        Number::Unsigned(v) => real.of_integer(v.into()),
+        Number::Signed(v) => real.of_integer(v.into()),
+        Number::Float(v) => real.of_float(v),
+    });
     Some([a.min(b), a.max(b)].map(Number::Float))
 }
 

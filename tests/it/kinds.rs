@@ -247,6 +247,39 @@ fn several_no_data_values_become_one_that_is_no_value() {
     assert_eq!(count(&taken, "height is null"), 1);
 }
 
+/// 0, which is stored for them, was a height of 100 metres.
+#[test]
+fn points_whose_scan_lacks_a_scaled_attribute_have_no_data() {
+    let folder = Folder::new();
+    let mut las = TinyLas::new(0);
+    (0..2).for_each(|i| las.push([2 + 100 * i, 0, 0], 7));
+    fs::write(folder.at("bare.las"), las.bytes()).unwrap();
+    let scaling = Some((0.05, 100.0));
+    for (no_data, told) in [(Some(-9999), "-9999"), (None, "-32768")] {
+        Extra::i16(scaling, no_data, &[-2000, 999]).write(&folder.at("tall.las"), 1);
+        let store = folder.store("s.esker", &[&["bare", "tall"]]);
+        let asked = [&store, "--attributes", "height"];
+        assert_eq!(values(&asked), ["0", "", "149.95", ""]);
+        assert_eq!([count(&store, "height is null"), count(&store, "height = 149.95")], [2, 1]);
+        let out = folder.at("out.las");
+        let output = esker(&["query", &store, "--force", "-o", &out]);
+        let note = String::from_utf8(output.stderr).unwrap();
+        assert!(note.contains("some of the scans have no height: their points have no data there"), "{note}");
+        let again = folder.store("again.esker", &[&["out"]]);
+        assert_eq!(rows(&[&again, "--attributes", "height"]), rows(&asked));
+        assert_eq!(count(&again, &format!("height is null and raw(height) = {told}")), 2);
+    }
+    // Every stored value is a height: then it is real ones that come out.
+    Extra::i16(scaling, None, &[i16::MIN, i16::MAX]).write(&folder.at("tall.las"), 1);
+    let store = folder.store("s.esker", &[&["bare", "tall"]]);
+    assert_eq!(values(&[&store, "--attributes", "height"]), ["-1538.4", "", "1738.35", ""]);
+    // Without a scale it is 0, which is what nothing is elsewhere.
+    Extra::i16(None, None, &[5, 6]).write(&folder.at("tall.las"), 1);
+    let store = folder.store("s.esker", &[&["bare", "tall"]]);
+    assert_eq!(values(&[&store, "--attributes", "height"]), ["5", "0", "6", "0"]);
+    assert_eq!(values(&[&store, "--scan", "tall", "--attributes", "height"]), ["5", "6"]);
+}
+
 /// An f64 would not hold them.
 #[test]
 fn integers_of_many_digits_are_not_joined() {
@@ -260,7 +293,7 @@ fn integers_of_many_digits_are_not_joined() {
     let max = u64::MAX.to_string();
     let b = rows(&[&store, "--attributes", "stamp"]).into_iter().filter(|(x, _)| x.ends_with("02"));
     let b: Vec<String> = b.map(|(_, v)| v).collect();
-    assert_eq!(b, ["0,0".to_owned(), "5,0".into(), format!("{},0", u64::MAX - 1), format!("{max},0")]);
+    assert_eq!(b, ["0,".to_owned(), "5,".into(), format!("{},", u64::MAX - 1), format!("{max},")]);
     assert_eq!(values(&[&store, "--scan", "a", "--attributes", "stamp"])[1], "");
     // Small ones are.
     Extra::u64(Some(5), &[0, 5, 255]).write(&folder.at("a.las"), 1);

@@ -21,7 +21,7 @@ DEFAULTS = {
     "where": None,
     "scans": None,
     "view": None,
-    "max_error_px": 1.0,
+    "max_error_px": None,
     "policy": None,
     "max_error": None,
     "spacing": None,
@@ -82,6 +82,8 @@ def paths(value, what):
 
 def names(value, what):
     """A list of strings: several, or one alone."""
+    if isinstance(value, (bytes, bytearray)):
+        raise TypeError(f"{what} must be names, not {value!r}")
     value = _names(value, what)
     return None if value is None else [str(name) for name in value]
 
@@ -171,7 +173,7 @@ def view(value):
                 return file.read()
         except FileNotFoundError:
             raise QueryError(f"{value}: there is no such view file") from None
-    return json.dumps(value, default=_plain)
+    return _json(value, "view")
 
 
 def polygon(value):
@@ -184,7 +186,7 @@ def polygon(value):
     value = getattr(value, "__geo_interface__", value)
     if not isinstance(value, dict):
         value = {"type": "Polygon", "coordinates": [_ring(value)]}
-    return json.dumps(value, default=_plain)
+    return _json(value, "polygon")
 
 
 def _ring(vertices):
@@ -202,9 +204,23 @@ def _ring(vertices):
 
 def frustum(value):
     """A view, or the rows of a clip matrix, as JSON."""
-    if value is None or isinstance(value, (str, os.PathLike, dict)):
+    if value is None or isinstance(value, (str, os.PathLike)):
         return view(value)
-    return json.dumps({"clip_from_world": [[float(number) for number in row] for row in value]})
+    if isinstance(value, dict):
+        return _json(value, "frustum")
+    try:
+        rows = [[float(number) for number in row] for row in value]
+    except (TypeError, ValueError):
+        raise TypeError(f"frustum must be a view or the rows of a clip matrix, not {value!r}") from None
+    return _json({"clip_from_world": rows}, "frustum")
+
+
+def _json(value, what):
+    """JSON, which has no NaN."""
+    try:
+        return json.dumps(value, default=_plain, allow_nan=False)
+    except ValueError:
+        raise QueryError(f"{what} has a number that is NaN or infinite: {value!r}") from None
 
 
 def _plain(value):
@@ -240,6 +256,10 @@ def query(given):
     full["policy"] = text(full["policy"], "policy")
     for word in ("max_error_px", "max_error", "spacing"):
         full[word] = number(full[word], word)
+    if full["max_error_px"] is None:
+        full["max_error_px"] = 1.0
+    elif full["view"] is None:
+        raise QueryError("max_error_px says where a view stops; give a view")
     for word in ("closed", "raw", "masked", "with_scan"):
         full[word] = flag(full[word], word)
     for word in ("level", "capacity"):

@@ -40,7 +40,7 @@ class ExportedKeywords(TypedDict, total=False):
     where: str
     scans: Names
     view: Union[PathLike, Dict[str, Any]]
-    max_error_px: float
+    max_error_px: Optional[float]
     policy: str
     max_error: float
     spacing: float
@@ -174,7 +174,7 @@ class Reader:
         where: Optional[str] = None,
         scans: Optional[Names] = None,
         view: Optional[Union[PathLike, Dict[str, Any]]] = None,
-        max_error_px: float = 1.0,
+        max_error_px: Optional[float] = None,
         policy: Optional[str] = None,
         max_error: Optional[float] = None,
         spacing: Optional[float] = None,
@@ -222,7 +222,8 @@ class Reader:
         ``spacing``, ``level``
             One point in each cell of at most this side; of this level.
         ``view``, ``max_error_px``
-            What a camera needs: a view file, or its content as a dict (``eye``, ``target``, ``size``, ...).
+            What a camera needs, until spacing is below so many pixels (1 unless said): a view file, or its content as a dict
+            (``eye``, ``target``, ``size``, ...).
         ``policy``
             How a view spreads its points: ``"screen"``, by their error in pixels, or ``"distance"``, by ratios that fall with
             distance: ``"distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=10"``.
@@ -345,6 +346,8 @@ class Reader:
         60000
         """
         options = self._asked({"attributes": [], **keywords})
+        if side is None:
+            raise TypeError("side must be a number, not None")
         side = _arguments.number(side, "side")
         return Density(side, *self._reader.density(options, side))
 

@@ -10,7 +10,7 @@ use super::rows::{self, Put, Slot};
 use super::{OutputPlan, PointWriter};
 use crate::formats::FormatError;
 use crate::lattice::Lattice;
-use crate::points::{Attribute, Batch, Column, ScalarType};
+use crate::points::{Attribute, Batch, Column, Real, ScalarType};
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -75,13 +75,8 @@ fn structured(fields: &[Field]) -> String {
 
 /// The values of an attribute as they are written; `None` if that is how they are stored.
 fn real(attribute: &Attribute, values: &Column) -> Option<Column> {
-    let scaling = attribute.scaling?;
-    let size = attribute.ty.size();
-    let value = |i: usize| match attribute.no_data {
-        Some(no_data) if no_data[..size] == values.raw(i)[..size] => f64::NAN,
-        _ => values.as_f64(i) * scaling.scale + scaling.offset,
-    };
-    Some(Column::F64((0..values.len()).map(value).collect()))
+    attribute.scaling?;
+    Some(Column::F64(Real::values(attribute, values, 0..values.len()).collect()))
 }
 
 fn world(lattice: &Lattice, batch: &Batch, axis: usize) -> Column {

@@ -4,7 +4,7 @@ use super::FilterError;
 use super::parser::{Expression, Literal, Name, Relation};
 use super::set::{DecimalSet, ValueSet};
 use crate::lattice::{Decimal, Lattice, LatticePoint};
-use crate::points::{ScalarType, Scaling, canonical_name, same_name};
+use crate::points::{Real, ScalarType, Scaling, canonical_name, same_name};
 use crate::query::error::{did_you_mean, nearest};
 use crate::query::kinds::{Kinds, Widening};
 use crate::store::model::{Scan, ScanId, Slot, StoredAttribute};
@@ -43,6 +43,8 @@ pub(super) struct Source {
     pub ty: ScalarType,
     /// For comparisons with other attributes.
     pub scaling: Option<Scaling>,
+    /// The same, worked out.
+    pub real: Real,
     /// What becomes of its integers where they meet those of another kind.
     pub widening: Option<Widening>,
     /// The stored bytes that mean null.
@@ -207,7 +209,8 @@ fn sources(text: &str, name: &Name, names: &Names) -> Result<Vec<Source>, Filter
         let (scaling, no_data) = if name.raw { (None, None) } else { (attribute.scaling, attribute.no_data_bytes()) };
         let mut source = |scans: Vec<ScanId>, widening| {
             let scans = (scans.len() < names.scans.len()).then_some(scans);
-            sources.push(Source { slot: *id, ty: attribute.ty, scaling, widening, no_data, scans });
+            let real = Real::new(scaling);
+            sources.push(Source { slot: *id, ty: attribute.ty, scaling, real, widening, no_data, scans });
         };
         let is_widened = |&scan: &ScanId| !name.raw && names.met.widening(*id, scan).is_some();
         let (widened, plain): (Vec<ScanId>, Vec<ScanId>) = having.into_iter().partition(is_widened);

@@ -220,7 +220,7 @@ fn value(sources: &[Source], block: &Block, i: usize) -> Option<Value> {
             return Some(Value::Integer(widening.of(stored)));
         }
         Some(match (source.scaling, column) {
-            (Some(_), column) => Value::Float(scaled(source.scaling, column.as_f64(i))),
+            (Some(_), column) => Value::Float(source.real.value(column, i)),
             (None, Column::F32(v)) => Value::Float(v[i].into()),
             (None, Column::F64(v)) => Value::Float(v[i]),
             (None, Column::U8(v)) => Value::Integer(v[i].into()),

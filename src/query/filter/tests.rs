@@ -152,6 +152,8 @@ const PREDICATES: &[(&str, Naive)] = &[
     ("stamp > 9007199254740992", |p| (p.scan == 3).then_some(p.stamp > 1 << 53)),
     ("stamp < 9007199254740992.5", |p| (p.scan == 3).then_some(p.stamp <= 1 << 53)),
     ("stamp is null", |p| Some(p.scan != 3)),
+    ("tree_height = Classification", |p| real_height(p).map(|h| h == 100 * i32::from(p.class))),
+    ("Classification <= tree_height", |p| real_height(p).map(|h| 100 * i32::from(p.class) <= h)),
     ("stamp > gps_time", |p| {
         if p.scan != 3 || p.time.is_nan() {
             None

@@ -55,8 +55,12 @@ proptest! {
         let camera = camera(&test, eye, 64);
         let matches = asked.matches(&test, None);
         let seen: Vec<Point> = visible(&test, &camera).into_iter().filter(|p| matches(p)).collect();
-        let (all, _) = collect(asked.query(&test).view(camera.clone(), 1.0), &test);
+        let (all, whole) = collect(asked.query(&test).view(camera.clone(), 1.0), &test);
         prop_assert!(all.iter().all(&matches));
+        // As fine as if there were no points but these: cells of a pixel, none of which is empty.
+        prop_assert!(whole.error_bound.is_some());
+        prop_assert!(whole.error_bound_px.is_none_or(|px| px <= 1.7321), "{whole:?}");
+        prop_assert!(seen.is_empty() || !all.is_empty());
         let view = || asked.query(&test).view(camera.clone(), 1.0);
         last_bound(&under_capacities(&test, view, all.len(), &seen)?)?;
         let (finest, answer) = collect(asked.query(&test).view(camera, 0.0), &test);

@@ -135,3 +135,23 @@ impl Encoder {
 fn guarded(run: impl FnOnce() -> Result<(), EncodeError>) -> Result<(), EncodeError> {
     catching(run).unwrap_or_else(|message| Err(EncodeError::Codec(message)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// LASzip refused what was named after the crate's version of the item.
+    #[test]
+    fn items_have_the_versions_that_laszip_writes() {
+        for (point_format, record_bytes, expected) in
+            [(4, 57, &[2, 2, 1][..]), (5, 63, &[2, 2, 2, 1]), (3, 34, &[2, 2, 2]), (5, 65, &[2, 2, 2, 1, 2])]
+        {
+            let mut header = Header { point_format, record_bytes, version: (1, 3), ..Header::default() };
+            announce(&mut header).unwrap();
+            // Behind the head of the record.
+            let written = LazVlr::from_buffer(&header.vlrs.1[54..]).unwrap();
+            let versions: Vec<u16> = written.items().iter().map(|item| item.version()).collect();
+            assert_eq!(versions, expected, "point format {point_format}");
+        }
+    }
+}

@@ -8,6 +8,7 @@ use esker::query::QueryError;
 use esker::store::StoreError;
 use pyo3::PyErr;
 use std::error::Error;
+use std::io::ErrorKind;
 
 mod exceptions {
     //! Imported when the first one is raised.
@@ -147,9 +148,20 @@ fn of_ingest(error: &IngestError) -> PyErr {
 
 fn of_format(error: &FormatError) -> PyErr {
     match error {
-        FormatError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
-            exceptions::NotThereError::new_err(message(error))
+        FormatError::Io { source, action, .. } => {
+            let message = message(error);
+            let is_read = matches!(*action, "opening" | "reading");
+            match source.kind() {
+                ErrorKind::NotFound => exceptions::NotThereError::new_err(message),
+                ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
+                    exceptions::DiskFullError::new_err(message)
+                }
+                ErrorKind::ReadOnlyFilesystem => exceptions::ReadOnlyError::new_err(message),
+                ErrorKind::PermissionDenied if !is_read => exceptions::ReadOnlyError::new_err(message),
+                _ => exceptions::FormatError::new_err(message),
+            }
         }
+        FormatError::NoFolder { .. } => exceptions::NotThereError::new_err(message(error)),
         FormatError::AlreadyThere { .. } => exceptions::ExistsError::new_err(message(error)),
         _ => exceptions::FormatError::new_err(message(error)),
     }

@@ -141,6 +141,20 @@ def test_a_store_goes_to_another_process_by_its_name(site):
         assert other.count() == site.store.count()
 
 
+def test_what_stays_in_its_process_says_so(site):
+    for what in (site.store.snapshot(), site.store.batches()):
+        with what, pytest.raises(TypeError, match="can be pickled"):
+            pickle.dumps(what)
+
+
+def test_files_that_can_not_be_written(site, tmp_path):
+    with pytest.raises(esker.NotThereError, match="the folder .*nowhere does not exist"):
+        site.store.export(tmp_path / "nowhere" / "a.las", capacity=10)
+    if sys.platform == "linux":
+        with pytest.raises(esker.ReadOnlyError, match="creating failed"):
+            site.store.export("/sys/a.las", capacity=10)
+
+
 def in_a_forked_process(work):
     """What ``work`` comes to: "done", or what it raises; "it hangs" after some seconds."""
     read, write = os.pipe()

@@ -1,4 +1,15 @@
-//! The size that the shell lets files have (`ulimit -f`).
+//! What the shell lets a process have: the size of files (`ulimit -f`), how many are open (`ulimit -n`).
+
+/// Lets as many files be open as the system allows at most: the ordinary limit is there for programs of another kind.
+pub(super) fn open_many_files() {
+    #[cfg(unix)]
+    {
+        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+        let Rlimit { maximum, .. } = getrlimit(Resource::Nofile);
+        // Where that is refused the limit stays as it is, and is told when it is met.
+        let _ = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
+    }
+}
 
 /// Lets a write beyond that size fail as on a full disk, so that it ends in good order. Otherwise a signal ends the process
 /// on the spot, without a word, and half-written files stay.

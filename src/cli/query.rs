@@ -176,6 +176,9 @@ impl From<Format> for OutputFormat {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    if arguments.split_by.is_some() {
+        super::limits::open_many_files();
+    }
     if arguments.split_by.is_some() && arguments.output.as_deref() == Some(Path::new("-")) {
         return Err(ExportError::SplitOfStandardOutput.into());
     }

@@ -4,11 +4,12 @@
 //! Whoever looks at the points of several scans together wants one column of each, as merged LAS files have it.
 
 use super::joined::{Joined, Member, joined};
-use crate::points::{Attribute, Batch, Column, ScalarType, angle_steps};
+use crate::points::{Attribute, Batch, Column, Identity, ScalarType, angle_steps};
 use crate::query::OutputForm;
-use crate::query::kinds::{DEEPER, Kinds, is_color, wider};
+use crate::query::kinds::{DEEPER, Kinds, has_depth, may_be_narrower, wider};
 use crate::store::Snapshot;
-use crate::store::model::{Scan, ScanId};
+use crate::store::model::{Scan, ScanId, Slot};
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 /// What is done where kinds meet.
@@ -43,8 +44,10 @@ impl Meeting {
         let there = There::of(snapshot, form);
         let mut columns = Columns::default();
         // Canonical order: those of one name and type are neighbours.
+        let mut first = 0;
         for same in there.all.chunk_by(|a, b| (&a.name, a.ty) == (&b.name, b.ty)) {
-            let members = there.members(same);
+            let members = there.members(first, same);
+            first += same.len();
             let present: Vec<&Member<'_>> = members.iter().filter(|m| !m.scans.is_empty()).collect();
             let becomes_wider = |wide: usize| there.has(wide) || present.is_empty();
             if there.wider(&same[0]).is_some_and(becomes_wider) {
@@ -60,7 +63,8 @@ impl Meeting {
         }
         let Columns { attributes, made, kinds, mut notes } = columns;
         let brighten = Kinds::of(snapshot, &form.scans).brightened().to_vec();
-        if !brighten.is_empty() {
+        let is_there = |a: &Attribute| a.ty == ScalarType::U16 && has_depth(a);
+        if !brighten.is_empty() && attributes.iter().any(is_there) {
             notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
         }
         Self { attributes: attributes.into(), notes, made, kinds, brighten }
@@ -102,7 +106,7 @@ impl Meeting {
 
     fn brighten(&self, batch: &mut Batch) {
         for (attribute, column) in batch.attributes.iter().zip(&mut batch.columns) {
-            if let (true, Column::U16(values)) = (is_color(attribute), column) {
+            if let (true, Column::U16(values)) = (has_depth(attribute), column) {
                 for (value, scan) in values.iter_mut().zip(&batch.scans) {
                     if self.brighten.binary_search(scan).is_ok() {
                         *value = value.saturating_mul(DEEPER);
@@ -115,23 +119,26 @@ impl Meeting {
 
 /// What the scans of an answer have.
 struct There<'a> {
-    snapshot: &'a Snapshot,
+    slots: HashMap<Identity<'a>, Slot>,
     all: &'a [Attribute],
     scans: Vec<&'a Scan>,
+    /// What each of the scans has.
+    have: Vec<HashSet<Slot>>,
 }
 
 impl<'a> There<'a> {
     fn of(snapshot: &'a Snapshot, form: &'a OutputForm) -> Self {
-        let scans = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
-        Self { snapshot, all: &form.attributes, scans }
+        let scans: Vec<&Scan> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
+        let slots = snapshot.attributes().iter().map(|s| (s.attribute.identity(), s.id)).collect();
+        let have = scans.iter().map(|s| s.attributes.iter().copied().collect()).collect();
+        Self { slots, all: &form.attributes, scans, have }
     }
 
     /// The scans that have the attribute, ascending.
     fn having(&self, attribute: &Attribute) -> Vec<ScanId> {
-        let mut stored = self.snapshot.attributes().iter();
-        let slot = stored.find(|s| s.attribute.identity() == attribute.identity()).map(|s| s.id);
-        let has = |s: &&&Scan| slot.is_some_and(|slot| s.attributes.contains(&slot));
-        self.scans.iter().filter(has).map(|s| s.id).collect()
+        let Some(slot) = self.slots.get(&attribute.identity()) else { return Vec::new() };
+        let having = self.scans.iter().zip(&self.have).filter(|(_, has)| has.contains(slot));
+        having.map(|(scan, _)| scan.id).collect()
     }
 
     /// Has a scan the attribute of this column?
@@ -150,9 +157,8 @@ impl<'a> There<'a> {
         self.scans.iter().any(|s| members.iter().all(|m| m.scans.binary_search(&s.id).is_err()))
     }
 
-    /// Neighbouring attributes with their columns and scans.
-    fn members(&self, same: &'a [Attribute]) -> Vec<Member<'a>> {
-        let first = self.all.iter().position(|a| a.identity() == same[0].identity()).unwrap_or(0);
+    /// Neighbouring attributes, from column `first` on, with their columns and scans.
+    fn members(&self, first: usize, same: &'a [Attribute]) -> Vec<Member<'a>> {
         let member = |(column, attribute)| Member { column, attribute, scans: self.having(attribute) };
         (first..).zip(same).map(member).collect()
     }
@@ -165,6 +171,9 @@ impl<'a> There<'a> {
 
     /// The column of the kind that is brought to this one, if a scan has it.
     fn narrower(&self, attribute: &Attribute) -> Option<usize> {
+        if !matches!(attribute.ty, ScalarType::U16 | ScalarType::I16) || !may_be_narrower(attribute) {
+            return None;
+        }
         let is_narrower = |a: &Attribute| wider(a).is_some_and(|(ty, _)| ty == attribute.ty);
         let column = self.all.iter().position(|a| a.name == attribute.name && is_narrower(a))?;
         self.has(column).then_some(column)

@@ -5,10 +5,11 @@ use crate::formats::las::crs_of;
 use crate::formats::{LasTarget, OutputFormat, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, Decimal, Lattice, LatticeBox, LatticePoint};
-use crate::points::LasFacts;
+use crate::points::{LasFacts, RawVlr};
 use crate::query::OutputForm;
 use crate::store::Snapshot;
 use crate::store::model::{Scan, Site};
+use std::collections::HashSet;
 
 /// The plan, and what to do with attributes of two kinds.
 pub struct Planned {
@@ -27,8 +28,8 @@ pub struct Planned {
 /// # Errors
 ///
 /// [`ExportError::TooWide`], [`ExportError::Scale`].
-pub fn plan(
-    snapshot: &Snapshot,
+pub fn plan<'s>(
+    snapshot: &'s Snapshot,
     form: &OutputForm,
     format: OutputFormat,
     all_attributes: bool,
@@ -43,14 +44,14 @@ pub fn plan(
     let mut notes = Vec::new();
     let agreed = scale.is_none().then(|| agreed_facts(&scans)).flatten().filter(|_| all_attributes);
     let target = match agreed {
-        Some(facts) => LasTarget::AsSource(facts.clone()),
+        Some(facts) => LasTarget::AsSource(facts),
         // Other forms have no grid that coordinates must fit.
         None if !is_las(format) => LasTarget::Merged { scale: site.lattice.quantum_f64(), offset: [0.0; 3] },
         None => {
             if scans.len() > 1 && scans.iter().all(|s| s.las.is_some()) && scale.is_none() && all_attributes {
                 notes.push(
-                    "the scans differ in LAS version, point format, scale or offset: written as LAS 1.4 on the \
-                            store's own grid"
+                    "the scans differ in LAS version, point format, scale, offset, kind of GPS times or extra bytes: written \
+                            as LAS 1.4 on the store's own grid"
                         .to_owned(),
                 );
             }
@@ -65,21 +66,23 @@ pub fn plan(
     }
     let meeting = Meeting::of(snapshot, form);
     notes.extend(meeting.notes.iter().cloned());
-    let has = |s: &Scan, wanted: &str| {
-        let mut names = s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &a.attribute.name);
-        names.any(|name| name == wanted)
+    let names_of = |s: &&Scan| -> HashSet<&str> {
+        s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &*a.attribute.name).collect()
     };
+    let names: Vec<HashSet<&str>> = scans.iter().map(names_of).collect();
     for (what, has_no_data) in [("0", false), ("no data", true)] {
         let attributes = meeting.attributes.iter().filter(|a| a.no_data.is_some() == has_no_data);
         let mut lacking: Vec<&str> = attributes.map(|a| &*a.name).collect();
-        lacking.retain(|name| scans.iter().any(|s| has(s, name)) && !scans.iter().all(|s| has(s, name)));
+        let having = |name: &&str| names.iter().filter(|names| names.contains(name)).count();
+        lacking.retain(|name| (1..scans.len()).contains(&having(name)));
         lacking.dedup();
         if !lacking.is_empty() {
             notes.push(format!("some of the scans have no {}: their points have {what} there", lacking.join(", ")));
         }
     }
     // Scans without times say nothing of them.
-    let timed: Vec<&&Scan> = scans.iter().filter(|s| has(s, "GpsTime")).collect();
+    let has_times = |(scan, names): (&&'s Scan, &HashSet<&str>)| names.contains("GpsTime").then_some(*scan);
+    let timed: Vec<&Scan> = scans.iter().zip(&names).filter_map(has_times).collect();
     let standard = timed.iter().filter(|s| is_standard(s)).count();
     if is_las(format) && standard > 0 && standard < timed.len() {
         notes.push(
@@ -133,11 +136,11 @@ fn is_standard(scan: &Scan) -> bool {
 }
 
 /// The facts of all scans, if they agree on everything that shapes a record.
-fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
+fn agreed_facts(scans: &[&Scan]) -> Option<LasFacts> {
     let first = scans.first()?.las.as_ref()?;
     let described = |facts: &LasFacts| {
-        let extra = facts.vlrs.iter().filter(|v| v.user_id.starts_with(b"LASF_Spec") && v.record_id == 4);
-        extra.map(|v| v.data.clone()).collect::<Vec<_>>()
+        let extra = facts.vlrs.iter().filter(|v| describes_extra_bytes(v));
+        extra.map(|v| without_ends(&v.data)).collect::<Vec<_>>()
     };
     let same = |other: &LasFacts| {
         first.version == other.version
@@ -152,7 +155,31 @@ fn agreed_facts<'s>(scans: &[&'s Scan]) -> Option<&'s LasFacts> {
     let unmoved = |s: &Scan| Pose::from_matrix(&s.pose).is_ok_and(|p| p.is_identity());
     let all =
         scans.iter().all(|s| s.las.as_ref().is_some_and(same) && s.attributes == scans[0].attributes && unmoved(s));
-    all.then_some(first)
+    let mut facts = all.then(|| first.clone())?;
+    if scans.len() > 1 {
+        for vlr in facts.vlrs.iter_mut().filter(|v| describes_extra_bytes(v)) {
+            vlr.data = without_ends(&vlr.data);
+        }
+    }
+    Some(facts)
+}
+
+fn describes_extra_bytes(vlr: &RawVlr) -> bool {
+    vlr.user_id.starts_with(b"LASF_Spec") && vlr.record_id == 4
+}
+
+/// Descriptions of extra bytes without their least and greatest values, which each file has of its own points.
+fn without_ends(described: &[u8]) -> Vec<u8> {
+    const BYTES: usize = 192;
+    const OPTIONS: usize = 3;
+    const ARE_THERE: u8 = 0b110;
+    let ends = 64..112;
+    let mut described = described.to_vec();
+    for one in described.chunks_exact_mut(BYTES) {
+        one[OPTIONS] &= !ARE_THERE;
+        one[ends.clone()].fill(0);
+    }
+    described
 }
 
 /// The store's own grid, or a scale of the user's, around the middle of the contributing scans, so that the files of
@@ -186,7 +213,7 @@ fn offset_for(snapshot: &Snapshot, axis: usize, min: u64, max: u64, scale: f64) 
     let middle = (min / 2 + max / 2) as i64 + (min % 2 + max % 2) as i64 / 2 - BIAS;
     for digits in (0..=9).rev() {
         let round = 10_i64.pow(digits);
-        let steps_from_bias = middle.div_euclid(round) * round;
+        let steps_from_bias = (middle + round / 2).div_euclid(round) * round;
         let index = (BIAS + steps_from_bias) as u64;
         let reach = index.abs_diff(min).max(index.abs_diff(max)) as f64 * steps;
         if reach < f64::from(i32::MAX) {

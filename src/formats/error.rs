@@ -67,6 +67,14 @@ pub enum FormatError {
         /// The file.
         path: PathBuf,
     },
+    /// A file was to be written where there is no folder.
+    #[error("{path}: the folder {folder} does not exist; create it first")]
+    NoFolder {
+        /// The file.
+        path: PathBuf,
+        /// What is missing.
+        folder: PathBuf,
+    },
     /// The answer cannot be written in this form.
     #[error("{path}: {reason}")]
     Unwritable {

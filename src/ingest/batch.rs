@@ -32,6 +32,8 @@ pub(super) struct Batch<'a> {
     pub crs: Option<Crs>,
     /// Scans that go in the same commit, ascending.
     pub replaced: &'a [ScanId],
+    /// Are the new scans shown?
+    pub visible: bool,
     pub strict: bool,
 }
 
@@ -219,7 +221,7 @@ fn scan_rows(
             format: info.format.to_owned(),
             las: info.las.clone(),
             color_depth: color_depth(&plan.layout.attributes, tally.color_bits, is_8_bit("Red")),
-            visible: true,
+            visible: batch.visible,
             attributes,
             crs: source.crs.clone(),
         });
@@ -246,7 +248,13 @@ fn range_of(lattice: &Lattice) -> String {
 
 fn color_depth(attributes: &[Attribute], bits: u16, is_8_bit: bool) -> Option<u8> {
     attributes.iter().find(|a| a.name == "Red")?;
-    Some(if is_8_bit || bits <= 255 { 8 } else { 16 })
+    match bits {
+        _ if is_8_bit => Some(8),
+        // All black, as files have them that have no colours: of no depth.
+        0 => None,
+        1..=255 => Some(8),
+        _ => Some(16),
+    }
 }
 
 fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {

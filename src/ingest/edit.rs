@@ -138,7 +138,8 @@ pub fn replace(
         report.notes.extend(notes);
         let measured = measure(context, &sources, &mut stages)?;
         let (sources, measured) = (&sources[..], &measured[..]);
-        let batch = Batch { sources, measured, crs, replaced: &replaced, strict: options.strict };
+        let visible = old.iter().all(|scan| scan.visible);
+        let batch = Batch { sources, measured, crs, replaced: &replaced, visible, strict: options.strict };
         add(context, &store, &mut writer, &batch, &mut stages, &mut report)?;
         fold_if_many(context, &store, &mut writer)?;
         report.seconds = begun.elapsed().as_secs_f64();

@@ -109,6 +109,7 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
             measured: &measured[range],
             crs: crs.clone(),
             replaced: &[],
+            visible: true,
             strict: options.strict,
         };
         let added = add(context, &store, &mut writer, &batch, &mut stages, &mut report);

@@ -8,6 +8,9 @@ use crate::store::model::{Scan, ScanId, Slot, StoredAttribute};
 /// The names of colours.
 const COLORS: [&str; 4] = ["Red", "Green", "Blue", "Infrared"];
 
+/// The name of scan angles.
+const ANGLE: &str = "ScanAngleRank";
+
 /// A level of 8 bits times this is the same of 16.
 pub(crate) const DEEPER: u16 = 257;
 
@@ -35,11 +38,21 @@ pub(crate) fn is_color(attribute: &Attribute) -> bool {
     COLORS.contains(&attribute.name.as_str())
 }
 
+/// Is it a colour of which the depth of a scan's colours is told? Near infrared may have another one.
+pub(crate) fn has_depth(attribute: &Attribute) -> bool {
+    is_color(attribute) && attribute.name != "Infrared"
+}
+
+/// Is there a narrower kind of attributes of this name?
+pub(crate) fn may_be_narrower(attribute: &Attribute) -> bool {
+    is_color(attribute) || attribute.name == ANGLE
+}
+
 /// The type of the kind to which this one is brought, and how.
 pub(crate) fn wider(attribute: &Attribute) -> Option<(ScalarType, Widening)> {
     match (attribute.name.as_str(), attribute.ty) {
         (_, ScalarType::U8) if is_color(attribute) => Some((ScalarType::U16, Widening::Color)),
-        ("ScanAngleRank", ScalarType::I8) => Some((ScalarType::I16, Widening::Degrees)),
+        (ANGLE, ScalarType::I8) => Some((ScalarType::I16, Widening::Degrees)),
         _ => None,
     }
 }
@@ -49,7 +62,7 @@ pub(crate) fn wider(attribute: &Attribute) -> Option<(ScalarType, Widening)> {
 pub(crate) struct Kinds {
     /// The narrow ones.
     narrow: Vec<(Slot, Widening)>,
-    /// Colours in fields of 16 bits.
+    /// Red, green and blue in fields of 16 bits.
     fields: Vec<Slot>,
     /// The scans whose colours have 8 bits in such fields, where others have 16; ascending.
     brightened: Vec<ScanId>,
@@ -73,11 +86,12 @@ impl Kinds {
                 there.iter().find(wide).map(|_| (a.id, widening))
             })
             .collect();
-        let wide_colors = there.iter().filter(|a| is_color(&a.attribute) && a.attribute.ty == ScalarType::U16);
+        let wide_colors = there.iter().filter(|a| has_depth(&a.attribute) && a.attribute.ty == ScalarType::U16);
         let fields: Vec<Slot> = wide_colors.map(|a| a.id).collect();
         let of_depth =
             |s: &&Scan, bits: u8| s.color_depth == Some(bits) && s.attributes.iter().any(|slot| fields.contains(slot));
-        let deep = narrow.iter().any(|(_, w)| *w == Widening::Color) || scans.clone().any(|s| of_depth(&s, 16));
+        let is_deep = |slot: Slot| there.iter().any(|a| a.id == slot && has_depth(&a.attribute));
+        let deep = narrow.iter().any(|(slot, _)| is_deep(*slot)) || scans.clone().any(|s| of_depth(&s, 16));
         let mut brightened: Vec<ScanId> = scans.filter(|s| deep && of_depth(s, 8)).map(|s| s.id).collect();
         brightened.sort_unstable();
         Self { narrow, fields, brightened }

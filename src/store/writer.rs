@@ -16,8 +16,9 @@ use super::place::{Place, lock};
 use super::rows::{self, ChunkRow, SiteRow};
 use super::snapshot::facts;
 use super::space;
-use crate::points::Attribute;
+use crate::points::{Attribute, Identity};
 use rusqlite::Connection;
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -182,10 +183,12 @@ impl Writer {
     /// [`StoreError::Inconsistent`] if there are too many.
     pub fn add_attributes(&mut self, attributes: &[Attribute]) -> Result<Vec<Slot>, StoreError> {
         let mut slots = Vec::with_capacity(attributes.len());
+        // A record has room for tens of thousands.
+        let before = self.attributes.clone();
+        let mut known: HashMap<Identity<'_>, Slot> = before.iter().map(|a| (a.attribute.identity(), a.id)).collect();
         for attribute in attributes {
-            let known = self.attributes.iter().find(|a| a.attribute.identity() == attribute.identity());
-            let slot = match known {
-                Some(known) => known.id,
+            let slot = match known.get(&attribute.identity()) {
+                Some(&known) => known,
                 None => {
                     let id = self.attributes.last().map_or(FIRST_ATTRIBUTE, |a| a.id.saturating_add(1));
                     if id == SLOT_PACKED {
@@ -197,6 +200,7 @@ impl Writer {
                     id
                 }
             };
+            known.insert(attribute.identity(), slot);
             slots.push(slot);
         }
         Ok(slots)

@@ -39,6 +39,8 @@ fn hidden_scans_are_left_out_unless_they_are_named() {
     assert!(esker_ok(&["scans", &store]).contains("site_2  (hidden)"));
     assert_eq!(esker_ok(&["digest", &store]), before, "hiding touches no point");
     assert!(esker_ok(&["hide", &store, "site_2"]).contains("nothing to do"));
+    esker_ok(&["replace", &store, "site_2"]);
+    assert!(esker_ok(&["hide", &store, "site_2"]).contains("nothing to do"), "what takes its place is hidden, too");
     esker_ok(&["show", &store, "site_2"]);
     assert_eq!(count(&store, &[]), all);
     for command in ["hide", "show", "remove"] {

@@ -12,6 +12,48 @@ fn ply(x: i32, ty: &str, red: [u32; 3]) -> String {
     format!("{head}{properties}end_header\n{points}")
 }
 
+/// Near infrared of 16 bits beside colours of 8 was taken for one of 8, and became white.
+#[test]
+fn near_infrared_keeps_its_own_depth() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let with_infrared = |x: i32, red: [u32; 3]| {
+        let text = ply(x, "ushort", red).replace("end_header", "property ushort Infrared\nend_header");
+        text.replace(" 7 0\n", " 7 0 45386\n")
+    };
+    fs::write(path("few.ply"), with_infrared(0, [0, 1, 255])).unwrap();
+    fs::write(path("many.ply"), with_infrared(10, [0, 256, 65535])).unwrap();
+    let store = path("site.esker");
+    esker_ok(&["ingest", &store, &path("few.ply"), &path("many.ply")]);
+    let query = |more: &[&str]| esker(&[&["query", &store, "-o", "-", "--format", "csv"], more].concat());
+    let rows = |more: &[&str]| -> Vec<String> {
+        let text = String::from_utf8(query(more).stdout).unwrap();
+        text.lines().skip(1).map(|line| line.splitn(4, ',').last().unwrap().to_owned()).collect()
+    };
+    assert_eq!(rows(&["--attributes", "Infrared"]), ["45386"; 6]);
+    assert_eq!(rows(&["--attributes", "Infrared,Red", "--where", "Infrared = 45386 and Red = 257"]).len(), 1);
+    let told = |attributes: &str| {
+        let output = query(&["--attributes", attributes]);
+        String::from_utf8(output.stderr).unwrap().contains("all are written with 16")
+    };
+    assert_eq!(["Infrared", "none", "Red"].map(told), [false, false, true]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_for_each_of_many_scans_is_open() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::create_dir(at("in")).unwrap();
+    (0..60).for_each(|i| fs::write(at(&format!("in/s{i}.csv")), format!("x,y,z\n{i},0,0\n")).unwrap());
+    esker_ok(&["ingest", &at("s.esker"), &at("in")]);
+    let query = "ulimit -Sn 40; exec \"$0\" query \"$1\" --split-by scan -o \"$2\"";
+    let arguments = ["-c", query, env!("CARGO_BIN_EXE_esker"), &at("s.esker"), &at("o.las")];
+    let output = std::process::Command::new("sh").args(arguments).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!((0..60).filter(|i| fs::exists(at(&format!("o_s{i}.las"))).unwrap()).count(), 60);
+}
+
 #[test]
 fn what_some_scans_have_not_is_told() {
     let folder = tempfile::tempdir().unwrap();

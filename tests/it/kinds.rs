@@ -247,6 +247,36 @@ fn several_no_data_values_become_one_that_is_no_value() {
     assert_eq!(count(&taken, "height is null"), 1);
 }
 
+/// Of the least and greatest values that each file has of its own points they differed.
+#[test]
+fn scans_that_differ_in_the_ends_of_extra_bytes_agree() {
+    let folder = Folder::new();
+    for (name, x, ends) in [("a", 1, [1_i64, 5]), ("b", 2, [-7, 9])] {
+        let path = folder.at(&format!("{name}.las"));
+        Extra::i16(Some((0.01, 0.0)), None, &[ends[0] as i16, ends[1] as i16]).write(&path, x);
+        let mut file = fs::read(&path).unwrap();
+        // Behind the header and the head of the record: options, least and greatest.
+        file[227 + 54 + 3] |= 0b110;
+        for (at, end) in [64, 88].into_iter().zip(ends) {
+            file[227 + 54 + at..][..8].copy_from_slice(&end.to_le_bytes());
+        }
+        fs::write(path, file).unwrap();
+    }
+    let store = folder.store("s.esker", &[&["a", "b"]]);
+    let described = |arguments: &[&str]| {
+        let out = folder.at("out.las");
+        let output = esker(&[&["query", &store, "--force", "-o", &out], arguments].concat());
+        assert!(output.status.success() && !String::from_utf8_lossy(&output.stderr).contains("differ"), "{output:?}");
+        let file = fs::read(&out).unwrap();
+        // The form is kept: LAS 1.2, point format 0.
+        assert_eq!((file[24..26].to_vec(), file[104]), (fs::read(folder.at("a.las")).unwrap()[24..26].to_vec(), 0));
+        let at = file.windows(6).position(|w| w == b"height").unwrap() - 4;
+        (file[at + 3], file[at + 64..at + 72].to_vec())
+    };
+    assert_eq!(described(&["--scan", "b"]), (0b1_1110, (-7_i64).to_le_bytes().to_vec()));
+    assert_eq!(described(&[]), (0b1_1000, vec![0; 8]));
+}
+
 /// 0, which is stored for them, was a height of 100 metres.
 #[test]
 fn points_whose_scan_lacks_a_scaled_attribute_have_no_data() {

@@ -190,6 +190,9 @@ class Batches:
     def __iter__(self) -> "Batches":
         return self
 
+    def __reduce__(self) -> Any:
+        raise TypeError("batches belong to their process; answers of query can be pickled, and so can a store")
+
     def __next__(self) -> Points:
         decoded = self._batches.take()
         if decoded is None:

@@ -453,6 +453,9 @@ class Snapshot(Reader):
     def __enter__(self) -> Snapshot:
         return self
 
+    def __reduce__(self) -> Any:
+        raise TypeError("a snapshot belongs to its process; a store can be pickled")
+
 
 class Store(Reader):
     """A store: answers are always of its newest generation, and scans can be added and taken away.

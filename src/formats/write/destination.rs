@@ -106,7 +106,7 @@ impl Destination {
         match fs::metadata(&folder) {
             Ok(there) if !there.is_dir() => return Err(refuse("its folder is not a folder")),
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
-                return Err(refuse(&format!("the folder {} does not exist; create it first", folder.display())));
+                return Err(FormatError::NoFolder { path: path.into(), folder });
             }
             _ => {}
         }

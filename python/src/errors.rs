@@ -162,7 +162,9 @@ fn of_format(error: &FormatError) -> PyErr {
             }
         }
         FormatError::NoFolder { .. } => exceptions::NotThereError::new_err(message(error)),
-        FormatError::AlreadyThere { .. } => exceptions::ExistsError::new_err(message(error)),
+        FormatError::AlreadyThere { path } => {
+            exists(format!("{}: exists already; give another name, or force=True to replace it", path.display()))
+        }
         _ => exceptions::FormatError::new_err(message(error)),
     }
 }

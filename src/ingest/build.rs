@@ -200,7 +200,7 @@ fn tell_if_large(plan: &Plan<'_>, rows: u64) {
     // Rows as they were read, in bins, in order and as records, then as columns and encoded; keys, twice while they are sorted.
     // Measured: 124 bytes of points with 8 bytes of payload, 206 of such with 22.
     let bytes = rows.saturating_mul(6 * payload + 3 * SORTED_BYTES);
-    if bytes > plan.memory {
+    if bytes > plan.memory.max(WORTH_TELLING) {
         plan.progress.say(&format!(
             "{rows} points lie at one place, or nearly so, and are put in order at once: about {} MiB of memory, more than {} MiB",
             bytes.div_ceil(1 << 20),
@@ -208,6 +208,9 @@ fn tell_if_large(plan: &Plan<'_>, rows: u64) {
         ));
     }
 }
+
+/// So much memory is taken whatever was asked for.
+const WORTH_TELLING: u64 = 2 << 20;
 
 /// What sorting takes of a row beside its bytes.
 const SORTED_BYTES: u64 = 24;
@@ -224,7 +227,9 @@ fn split<K: RowKey>(
         if rows > 0 {
             jobs.push(Job { cube, rows, bucket: number });
         }
-        tell_if_large(plan, rows);
+        if rows > most_rows {
+            tell_if_large(plan, rows);
+        }
         return Ok(());
     }
     if plan.progress.cancelled() {

@@ -533,6 +533,8 @@ class Store(Reader):
     def _check_open(self) -> None:
         if self.closed:
             raise EskerError("the store is closed")
+        # Raises where its file was moved: changes go by the name, and would begin another store there.
+        self._reader.generation()
 
 
 def open_store(path: PathLike, *, cache: Optional[Union[int, float]] = None) -> Store:

@@ -198,7 +198,10 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouc
     if had_wal {
         check_wal(path)?;
     }
-    match open(path, Purpose::Read) {
+    // Beside a file that this user may not write SQLite would leave a log and its index, which then the owner may not write.
+    let is_anothers = !had_wal && !has_journal(path) && !beside(path, "-shm").exists() && may_not_write(path);
+    let opened = if is_anothers { Err(Refused::Place) } else { open(path, Purpose::Read) };
+    match opened {
         // No shared memory can be made beside it.
         Err(Refused::Place) if had_wal || has_journal(path) => Err(StoreError::NeedsRecovery { path: path_buf() }),
         Err(Refused::Full) if had_wal || has_journal(path) => Err(StoreError::Full { path: path_buf() }),
@@ -211,6 +214,12 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouc
         Err(e) => Err(e.at(path)),
         Ok(connection) => Ok((connection, None)),
     }
+}
+
+/// Has this user no permission to write the file?
+fn may_not_write(path: &Path) -> bool {
+    let opened = std::fs::OpenOptions::new().write(true).open(path);
+    opened.is_err_and(|e| e.kind() == std::io::ErrorKind::PermissionDenied)
 }
 
 /// Removes the beginning of an index of the log, which SQLite leaves where there is no room for all of it.

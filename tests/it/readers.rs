@@ -249,3 +249,39 @@ fn a_reader_that_stays_does_not_make_the_log_grow() {
     assert!(largest < 256 << 20, "{} MiB", largest >> 20);
     assert!(own.changed(&held).unwrap());
 }
+
+/// What SQLite makes beside a store belonged to the reader, and the owner could not write it any more.
+#[cfg(unix)]
+#[test]
+fn a_reader_that_may_not_write_leaves_nothing_that_keeps_the_owner_out() {
+    use std::os::unix::fs::PermissionsExt;
+    use std::os::unix::process::CommandExt;
+    let folder = tempfile::tempdir().unwrap();
+    let open_to_all = |path: &std::path::Path| fs::set_permissions(path, fs::Permissions::from_mode(0o777)).unwrap();
+    open_to_all(folder.path());
+    let program = folder.path().join("esker");
+    fs::copy(env!("CARGO_BIN_EXE_esker"), &program).unwrap();
+    open_to_all(&program);
+    let run = |user: u32, arguments: &[&str]| {
+        let mut command = std::process::Command::new(&program);
+        command.current_dir(folder.path()).args(arguments).uid(user).gid(user);
+        command.output()
+    };
+    fs::write(folder.path().join("a.csv"), "x,y,z\n1,2,3\n").unwrap();
+    let ingested = match run(1001, &["ingest", "s.esker", "a.csv"]) {
+        Ok(output) => output,
+        // Only root may run a program as somebody else.
+        Err(e) if e.kind() == std::io::ErrorKind::PermissionDenied => return,
+        Err(e) => panic!("{e}"),
+    };
+    assert!(ingested.status.success(), "{ingested:?}");
+    for arguments in [&["info", "s.esker"][..], &["query", "s.esker", "--count"], &["verify", "s.esker"]] {
+        let output = run(1002, arguments).unwrap();
+        assert!(output.status.success(), "{output:?}");
+    }
+    for end in ["-wal", "-shm"] {
+        assert!(!folder.path().join(format!("s.esker{end}")).exists(), "{end} is left");
+    }
+    let hidden = run(1001, &["hide", "s.esker", "a"]).unwrap();
+    assert!(hidden.status.success(), "{hidden:?}");
+}

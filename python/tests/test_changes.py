@@ -162,6 +162,16 @@ def test_a_second_writer_is_refused(tmp_path, large, scans):
     assert refused
 
 
+def test_a_store_that_was_moved_is_not_begun_anew(scans, tmp_path):
+    esker.ingest(tmp_path / "s.esker", scans[0])
+    with esker.open(tmp_path / "s.esker") as store:
+        (tmp_path / "s.esker").rename(tmp_path / "moved.esker")
+        for change in (lambda: store.ingest(scans[1]), lambda: store.compact()):
+            with pytest.raises(esker.EskerError, match="not the store any more that was opened"):
+                change()
+    assert not (tmp_path / "s.esker").exists()
+
+
 def test_thirty_two_threads_on_one_store(tmp_path, site, large):
     """Every answer is that of one thread alone, while a scan is added to another store and the interpreter goes on."""
     x, y = site.bounds[:, :2].mean(axis=0)

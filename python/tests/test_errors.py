@@ -59,7 +59,7 @@ import pytest
         ({"raw": "no"}, TypeError, "raw must be True or False"),
         ({"max_error_px": 2}, esker.QueryError, "max_error_px says where a view stops"),
         ({"polygon": [(0, 0), (float("nan"), 0), (9, 9)]}, esker.QueryError, "polygon has a number that is NaN or infinite"),
-        ({"frustum": np.eye(4) * np.inf}, esker.QueryError, "frustum has a number that is NaN or infinite"),
+        ({"frustum": np.full((4, 4), np.inf)}, esker.QueryError, "frustum has a number that is NaN or infinite"),
         ({"frustum": 5}, TypeError, "frustum must be a view or the rows of a clip matrix"),
         ({"view": {"eye": [0, 0, float("nan")]}}, esker.QueryError, "view has a number that is NaN or infinite"),
         ({"attributes": b"Intensity"}, TypeError, "attributes must be names"),

@@ -101,7 +101,7 @@ def test_progress_is_told_and_may_stop_the_work(large, tmp_path):
         ("a.las", {"frame": "scan"}, esker.QueryError, "for the points of one scan"),
         ("a.las", {"scale": 1e-9}, esker.FormatError, "too wide for 32-bit coordinates in steps of"),
         ("a.las", {"scale": (1, 2)}, ValueError, "scale is one number, or one per axis"),
-        ("nowhere/a.las", {}, esker.FormatError, "does not exist"),
+        ("nowhere/a.las", {}, esker.NotThereError, "does not exist"),
         ("a.las", {"masked": True}, TypeError, "masked is about arrays"),
         ("a.las", {"bax": 1}, TypeError, "bax"),
         ("a.las", {"where": "Intensty > 1"}, esker.FilterError, "did you mean"),

@@ -77,16 +77,6 @@ def test_points_are_arrays_for_numpy_and_go_to_other_processes(site):
         pickle.dumps(snapshot)
 
 
-def test_a_store_that_was_moved_is_not_begun_anew(scans, tmp_path):
-    esker.ingest(tmp_path / "s.esker", scans[0])
-    with esker.open(tmp_path / "s.esker") as store:
-        (tmp_path / "s.esker").rename(tmp_path / "moved.esker")
-        for change in (lambda: store.ingest(scans[1]), lambda: store.compact()):
-            with pytest.raises(esker.EskerError, match="not the store any more that was opened"):
-                change()
-    assert not (tmp_path / "s.esker").exists()
-
-
 def test_a_store_is_found_from_another_folder(site, tmp_path, monkeypatch):
     """A relative path was looked for in whatever folder the process went to: the store was said to be gone."""
     folder, name = os.path.split(site.path)

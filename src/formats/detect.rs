@@ -312,6 +312,8 @@ fn is_matrix(path: &Path) -> bool {
 /// Is it a file of points by its name? Text may be anything, and is looked at.
 fn is_point_file(path: &Path) -> bool {
     match InputFormat::of_path(path) {
+        // Looking into a pipe waits for whoever writes to it. Opening says what is wrong with it.
+        Some(_) if std::fs::metadata(path).is_ok_and(|m| !m.is_file()) => true,
         Some(InputFormat::Text) => {
             let head = SourceFile::open(path).and_then(|f| f.read_vec(0, HEAD_BYTES));
             head.is_ok_and(|head| shape(&head).is_some()) && !is_matrix(path)
@@ -385,5 +387,17 @@ mod tests {
         let deep = list_inputs(&paths[..1], true).unwrap();
         assert_eq!(deep.files, ["a.las", "b.LAZ", "below/d.ply", "c.copc.laz", "e.txt"].map(at));
         assert!(list_inputs(&[at("none")], false).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn listing_opens_no_pipe() {
+        // A pipe with the name of a text was opened to look at it, which waited for ever.
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("p.csv");
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let listed = list_inputs(&[folder.path().to_owned()], false).unwrap();
+        assert_eq!(listed.files, std::slice::from_ref(&path));
+        assert!(open(&path, &ReadOptions::default()).err().unwrap().to_string().contains("but a regular file"));
     }
 }

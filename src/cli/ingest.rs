@@ -4,7 +4,7 @@ use super::progress::{Mode, Shown};
 use super::{Outcome, output, values};
 use crate::formats::{parse_columns, read_poses};
 use crate::geometry::Pose;
-use crate::ingest::{IngestOptions, LatticeWish, Report, ingest};
+use crate::ingest::{IngestOptions, LatticeWish, Report, ScanReport, ingest};
 use crate::lattice::Lattice;
 use crate::points::Crs;
 use crate::store::Store;
@@ -139,10 +139,7 @@ pub(super) fn print(report: &Report) -> std::io::Result<()> {
             e if e > 0.0 => format!(", off by at most {e:.3e}"),
             _ => String::new(),
         };
-        let rejected = match scan.rejected {
-            0 => String::new(),
-            n => format!(", {} rejected", output::grouped(n)),
-        };
+        let rejected = rejected(scan);
         output::line(format_args!(
             "{}: {} stored{rejected}; positions {}{error}",
             output::clean(&scan.name),
@@ -171,6 +168,20 @@ pub(super) fn print(report: &Report) -> std::io::Result<()> {
         ))?;
     }
     Ok(())
+}
+
+/// What was not stored, with the reasons.
+fn rejected(scan: &ScanReport) -> String {
+    let reasons = [
+        (scan.rejected_truncated, "not in the file"),
+        (scan.rejected_not_finite, "without a valid position"),
+        (scan.rejected_out_of_range, "outside the lattice"),
+    ];
+    let counted = |&(n, reason): &(u64, &str)| format!("{} {reason}", output::grouped(n));
+    match reasons.iter().filter(|(n, _)| *n > 0).map(counted).collect::<Vec<_>>() {
+        reasons if reasons.is_empty() => String::new(),
+        reasons => format!(", {} rejected ({})", output::grouped(scan.rejected), reasons.join(", ")),
+    }
 }
 
 /// Names of columns, as one argument.

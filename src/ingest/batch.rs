@@ -260,6 +260,13 @@ fn color_depth(attributes: &[Attribute], bits: u16, is_8_bit: bool) -> Option<u8
 fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
     let mut warnings = source.warnings.clone();
     warnings.extend(source.reader.found_while_reading());
+    // What was missing at once has its warning.
+    let lost = tally.rejected.truncated.saturating_sub(source.reader.info().missing);
+    if lost > 0 {
+        warnings.push(format!(
+            "the file ends before all is read, or was cut meanwhile: {lost} of its records are not there"
+        ));
+    }
     if tally.rejected.out_of_range > 0 {
         warnings.push(format!(
             "outside the lattice, where a store with a coarser --quantum has room: {} of the points",

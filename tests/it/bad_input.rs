@@ -1,10 +1,12 @@
 //! Whatever a user does wrong: one line that says what to do, an exit code, nothing lost.
 
 use crate::support::{esker, esker_fails, esker_ok};
+use esker::ingest::{IngestOptions, Progress, Stage, ingest};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 struct Place {
@@ -543,14 +545,71 @@ fn a_link_that_leads_nowhere_is_not_waited_for() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    let begun = std::time::Instant::now();
+    let begun = Instant::now();
     while child.try_wait().unwrap().is_none() {
-        if begun.elapsed() > std::time::Duration::from_secs(20) {
+        if begun.elapsed() > Duration::from_secs(20) {
             child.kill().unwrap();
         }
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
     }
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     assert!(String::from_utf8_lossy(&output.stderr).contains("link.esker"), "{output:?}");
+}
+
+/// Somebody cuts the file as soon as it is known how much it holds.
+struct Cutting<'a> {
+    file: &'a str,
+    bytes: u64,
+}
+
+impl Progress for Cutting<'_> {
+    fn stage(&self, stage: Stage, _total: u64) {
+        if stage == Stage::Read {
+            fs::File::options().write(true).open(self.file).unwrap().set_len(self.bytes).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_file_that_is_cut_while_it_is_read_gives_a_warning() {
+    // What was not there any more was counted, and nothing said.
+    let place = Place::new();
+    let rows: String = (100..200).map(|i| format!("{i} {i} {i}\n")).collect();
+    let head = "ply\nformat binary_little_endian 1.0\nelement vertex 100\nproperty double x\nproperty double y\n\
+                property double z\nend_header\n";
+    let body: Vec<u8> = (0..100 * 3).flat_map(|i| f64::from(i).to_le_bytes()).collect();
+    let las = place.las("a.las", 100);
+    let half = |head: u64, bytes: u64| head + (bytes - head) / 2;
+    let bytes = fs::metadata(&las).unwrap().len();
+    let record = u64::from(u16::from_le_bytes(fs::read(&las).unwrap()[105..107].try_into().unwrap()));
+    let files = [
+        (las, half(bytes - 100 * record, bytes)),
+        (
+            place.write("b.ply", &[head.as_bytes(), &body].concat()),
+            half(head.len() as u64, (head.len() + body.len()) as u64),
+        ),
+        (place.write("c.xyz", rows.as_bytes()), rows.len() as u64 / 2),
+    ];
+    for (i, (file, bytes)) in files.iter().enumerate() {
+        let store = place.path(&format!("{i}.esker"));
+        let cutting = Cutting { file, bytes: *bytes };
+        let report = ingest(Path::new(&store), &[file.into()], &IngestOptions::default(), &cutting).unwrap();
+        let [scan] = &report.scans[..] else { panic!("{file}: {} scans", report.scans.len()) };
+        assert_eq!((scan.stored, scan.rejected_truncated), (50, 50), "{file}");
+        let told =
+            scan.warnings.iter().filter(|w| w.contains("cut meanwhile: 50 of its records are not there")).count();
+        assert_eq!(told, 1, "{file}: {:?}", scan.warnings);
+    }
+}
+
+#[test]
+fn rejected_points_are_told_with_the_reasons() {
+    let place = Place::new();
+    let head = "ply\nformat ascii 1.0\nelement vertex 5\nproperty double x\nproperty double y\nproperty double z\n\
+                end_header\n";
+    let file = place.write("a.ply", format!("{head}1 2 3\n4 5 6\n7 8 nan\n").as_bytes());
+    let told = esker_ok(&["ingest", &place.path("a.esker"), &file]);
+    let expected = "a: 2 points stored, 3 rejected (2 not in the file, 1 without a valid position); positions exact\n";
+    assert!(told.starts_with(expected), "{told}");
 }

@@ -75,6 +75,7 @@ fn read_chunk(
         if head.filter(fits).is_none() {
             let expected = format!("a chunk of {} records in {} bytes", chunk.records, chunk.bytes);
             let found = match head {
+                _ if (bytes.len() as u64) < chunk.bytes => format!("the end of the file after {} bytes", bytes.len()),
                 Some((records, length)) => format!("{records} records in {length} bytes"),
                 None => "a chunk that ends before its layers".to_owned(),
             };

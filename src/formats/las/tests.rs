@@ -264,6 +264,20 @@ fn damaged_chunks_are_errors_with_their_place() {
 }
 
 #[test]
+fn a_file_that_is_cut_while_it_is_read_says_where_it_ends() {
+    // The chunk was said to be other than expected, with the same numbers twice.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.laz");
+    let file = Sample { chunk: Some(100), ..Sample::new(6, 100) }.file();
+    let start = u64::from(u32::from_le_bytes(file[at::POINTS_OFFSET..][..4].try_into().unwrap())) + 8;
+    std::fs::write(&path, file).unwrap();
+    let source = crate::formats::open(&path, &ReadOptions::default()).unwrap();
+    std::fs::File::options().write(true).open(&path).unwrap().set_len(start + 50).unwrap();
+    let error = records(&*source, 1).unwrap_err().to_string();
+    assert!(error.ends_with("found the end of the file after 50 bytes"), "{error}");
+}
+
+#[test]
 fn headers_that_make_no_sense_are_refused_with_their_place() {
     let with = |at: usize, bytes: &[u8]| {
         let mut file = Sample::new(6, 5).file();

@@ -24,6 +24,6 @@ pub use error::FormatError;
 pub use pose_file::read_poses;
 pub use read::{Piece, PointSource, SourceInfo, Tally};
 pub use write::{
-    CreateOptions, CreationDate, LasTarget, OutputFormat, OutputPlan, Packed, Packer, PointWriter, Raster,
-    RasterFormat, create, create_standard_output, is_database, remove_unfinished, write_raster,
+    CreateOptions, CreationDate, LasTarget, OutputFile, OutputFormat, OutputPlan, Packed, Packer, PointWriter, Raster,
+    RasterFormat, check_output, create, create_standard_output, is_database, remove_unfinished, write_raster,
 };

@@ -10,7 +10,7 @@ mod ply;
 mod raster;
 mod rows;
 
-pub use destination::{is_database, remove_unfinished};
+pub use destination::{OutputFile, check_output, is_database, remove_unfinished};
 pub use las::CreationDate;
 pub use raster::{Raster, RasterFormat, write_raster};
 

@@ -99,11 +99,6 @@ pub enum RenderError {
         source: std::io::Error,
     },
     /// The picture can't be encoded.
-    #[error("can't encode {} as PNG", path.display())]
-    Encode {
-        /// For which file.
-        path: PathBuf,
-        /// Why.
-        source: png::EncodingError,
-    },
+    #[error("the picture can't be encoded as PNG")]
+    Encode(#[from] png::EncodingError),
 }

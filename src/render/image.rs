@@ -2,7 +2,7 @@
 
 use super::RenderError;
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 /// Pixels, row by row from the top left corner.
@@ -27,8 +27,31 @@ impl Image {
         std::array::from_fn(|i| self.rgba[start + i])
     }
 
-    /// Writes a PNG file, without alpha where everything is opaque. The file appears when it is complete: until then it
-    /// has a temporary name beside `path`, and it is removed if anything fails.
+    /// The picture as a PNG file, without alpha where everything is opaque.
+    ///
+    /// # Errors
+    ///
+    /// [`RenderError::Encode`] if there are not as many pixels as the picture's size says.
+    pub fn to_png(&self) -> Result<Vec<u8>, RenderError> {
+        let mut bytes = Vec::new();
+        let opaque = self.rgba.chunks_exact(4).all(|pixel| pixel[3] == 255);
+        let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        encoder.set_color(if opaque { png::ColorType::Rgb } else { png::ColorType::Rgba });
+        let mut writer = encoder.write_header()?;
+        if opaque {
+            let rgb: Vec<u8> = self.rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
+            writer.write_image_data(&rgb)?;
+        } else {
+            writer.write_image_data(&self.rgba)?;
+        }
+        writer.finish()?;
+        Ok(bytes)
+    }
+
+    /// Writes [`Image::to_png`]. The file appears when it is complete: until then it has a temporary name beside `path`, and
+    /// it is removed if anything fails.
     ///
     /// # Errors
     ///
@@ -41,35 +64,21 @@ impl Image {
         }
         let failed = |source| RenderError::Write { path: path.to_owned(), source };
         let name = path.file_name().ok_or_else(|| failed(std::io::ErrorKind::InvalidInput.into()))?;
+        let bytes = self.to_png()?;
         let temporary = path.with_file_name(format!(".{}.{}.part", name.to_string_lossy(), std::process::id()));
-        let written = self.encode_to(&temporary, path).and_then(|()| fs::rename(&temporary, path).map_err(failed));
+        let written = write_whole(&temporary, &bytes).and_then(|()| fs::rename(&temporary, path));
         if written.is_err() {
             // It may not exist, and the error that matters is the first.
             let _ = fs::remove_file(&temporary);
         }
-        written
+        written.map_err(failed)
     }
+}
 
-    fn encode_to(&self, temporary: &Path, path: &Path) -> Result<(), RenderError> {
-        let failed = |source| RenderError::Write { path: path.to_owned(), source };
-        let encode_failed = |source| RenderError::Encode { path: path.to_owned(), source };
-        let mut file = BufWriter::new(File::create(temporary).map_err(failed)?);
-        let opaque = self.rgba.chunks_exact(4).all(|pixel| pixel[3] == 255);
-        let mut encoder = png::Encoder::new(&mut file, self.width, self.height);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-        encoder.set_color(if opaque { png::ColorType::Rgb } else { png::ColorType::Rgba });
-        let mut writer = encoder.write_header().map_err(encode_failed)?;
-        if opaque {
-            let rgb: Vec<u8> = self.rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
-            writer.write_image_data(&rgb).map_err(encode_failed)?;
-        } else {
-            writer.write_image_data(&self.rgba).map_err(encode_failed)?;
-        }
-        writer.finish().map_err(encode_failed)?;
-        file.flush().map_err(failed)?;
-        file.into_inner().map_err(|e| failed(e.into_error()))?.sync_all().map_err(failed)
-    }
+fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
 }
 
 #[cfg(test)]
@@ -106,7 +115,7 @@ mod tests {
         let image = Image { width: 1, height: 1, rgba: vec![0; 4] };
         assert!(matches!(image.write_png(folder.path().join("no/a.png"), false), Err(RenderError::Write { .. })));
         let short = Image { width: 3, height: 3, rgba: vec![0; 4] };
-        assert!(matches!(short.write_png(folder.path().join("a.png"), false), Err(RenderError::Encode { .. })));
+        assert!(matches!(short.write_png(folder.path().join("a.png"), false), Err(RenderError::Encode(_))));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 }

@@ -341,3 +341,73 @@ fn an_adapter_may_be_asked_for_by_name() {
     assert_eq!(code, Some(0), "{said}");
     assert!(said.contains(&format!("drawn by {known}")), "{said}");
 }
+
+/// A store of two points, in its folder.
+fn small_store(folder: &Path) -> String {
+    let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    fs::write(at("a.xyz"), "1 2 3\n4 5 6\n").unwrap();
+    esker_ok(&["ingest", &at("a.esker"), &at("a.xyz")]);
+    at("a.esker")
+}
+
+/// A pipe was waited for for ever, a link was replaced, a folder that is not there was found after the work.
+#[cfg(unix)]
+#[test]
+fn pictures_are_written_where_a_file_can_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = small_store(folder.path());
+    let render = ["render", &store, "--size", "64x48", "--force"];
+    assert!(Command::new("mkfifo").arg(path("pipe.png")).status().unwrap().success());
+    std::os::unix::fs::symlink(path("nowhere.png"), path("dangling.png")).unwrap();
+    let cases = [
+        ("pipe.png", "is not a regular file".to_owned()),
+        ("dangling.png", "is a link that leads nowhere".to_owned()),
+        ("none/a.png", format!("the folder {} does not exist; create it first", path("none"))),
+    ];
+    for (name, expected) in &cases {
+        esker_fails(&[&render[..], &["-o", &path(name)]].concat(), 1, &[name, expected]);
+        esker_fails(&[&render[..], &["-o", &path("v.png"), "--stats", &path(name)]].concat(), 1, &[name, expected]);
+    }
+    assert!(!Path::new(&path("v.png")).exists());
+    // A link that leads to a file stays one.
+    fs::write(path("real.png"), "old").unwrap();
+    std::os::unix::fs::symlink(path("real.png"), path("link.png")).unwrap();
+    esker_ok(&[&render[..], &["-o", &path("link.png")]].concat());
+    assert!(Path::new(&path("link.png")).is_symlink());
+    assert_eq!(pixels(&path("real.png")).0, 64);
+}
+
+/// The statistics were lost in the picture, or in a file called `-`, or lay there empty.
+#[test]
+fn statistics_have_a_place_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = small_store(folder.path());
+    let picture = path("v.png");
+    let render = ["render", &store, "--size", "64x48", "--force", "-o", &picture, "--stats"];
+    fs::create_dir(path("below")).unwrap();
+    let same = path("below/../v.png");
+    for stats in [&picture, &same] {
+        esker_fails(&[&render[..], &[stats]].concat(), 1, &["v.png", "is the picture's name, too"]);
+    }
+    assert!(!Path::new(&picture).exists());
+    let table = esker_ok(&[&render[..], &["-"]].concat());
+    let lines: Vec<_> = table.lines().collect();
+    assert!(lines.len() == 2 && lines[0].starts_with("frame,points,") && lines[1].starts_with("0,2,"), "{table}");
+    assert!(Path::new(&picture).exists());
+
+    fs::create_dir(path("full")).unwrap();
+    let shim = crate::faults::shim(folder.path());
+    for output in [["v.png", "full/x.csv"], ["full/v.png", "x.csv"]] {
+        let output = Command::new(env!("CARGO_BIN_EXE_esker"))
+            .args(["render", &store, "--size", "64x48", "--force", "-o", &path(output[0]), "--stats", &path(output[1])])
+            .env("LD_PRELOAD", &shim)
+            .env("ESKER_TEST_PATH", "/full/")
+            .env("ESKER_TEST_FAULT", "full:0")
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(1), "{output:?}");
+        assert_eq!(fs::read_dir(path("full")).unwrap().count(), 0);
+    }
+}

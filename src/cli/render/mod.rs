@@ -6,9 +6,10 @@ mod session;
 mod statistics;
 mod walk;
 
+use super::interrupt::cancelled_by_interrupt;
 use super::which::filter;
 use super::{Outcome, output, values};
-use crate::formats::is_database;
+use crate::formats::{OutputFile, check_output};
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::LatticeBox;
 use crate::points::Batch;
@@ -20,7 +21,7 @@ use crate::stream::gpu::Paint;
 use anyhow::{Context, bail};
 use clap::Args;
 use session::{Asked, Session, Starting};
-use std::io::Write;
+use statistics::Table;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -73,7 +74,7 @@ pub(super) struct Arguments {
     scans: Vec<String>,
     #[command(flatten)]
     look: options::Look,
-    /// A table of what each frame cost, as CSV.
+    /// A table of what each frame cost, as CSV; - for stdout.
     #[arg(long, value_name = "FILE.csv")]
     stats: Option<PathBuf>,
     /// The picture; with --path the name before the numbers.
@@ -91,6 +92,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     if !bare && !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
         bail!("{}: pictures are written as PNG; give it a name that ends in .png", arguments.output.display());
     }
+    let cancel = cancelled_by_interrupt();
     // The adapter takes its time, and needs nothing of the store.
     let starting = Starting::new(Instant::now());
     let store = Store::open(&arguments.store)?;
@@ -104,48 +106,31 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let cameras = cameras(arguments, &snapshot)?;
     let outputs = outputs(cameras.len());
     // Before the work, not after it.
-    for path in outputs.iter().chain(&arguments.stats) {
-        if path.exists() && !arguments.force {
-            bail!("{}: exists already; use --force to replace it", path.display());
-        }
-        if is_database(path) {
-            bail!("{}: is a database, such as a store; give the picture another name", path.display());
-        }
-    }
-    let mut table = match &arguments.stats {
-        Some(path) => {
-            let file = std::fs::File::create(path).with_context(|| format!("can't write {}", path.display()))?;
-            Some((path, std::io::BufWriter::new(file)))
-        }
-        None => None,
-    };
-    let mut write_line = |line: &str| match &mut table {
-        Some((path, file)) => file
-            .write_all(line.as_bytes())
-            .and_then(|()| file.flush())
-            .with_context(|| format!("can't write {}", path.display())),
-        None => Ok(()),
-    };
-    write_line(&format!("{}\n", statistics::HEAD))?;
+    let pictures = outputs.iter().map(|path| check_output(path, arguments.force)).collect::<Result<Vec<_>, _>>()?;
+    let mut table = Table::create(arguments.stats.as_deref(), &pictures, arguments.force)?;
 
-    let query = query(arguments, &snapshot)?;
+    let query = query(arguments, &snapshot)?.cancel(&cancel);
     let coloring = coloring(arguments, &snapshot, &query)?;
     let mut session = session(arguments, &snapshot, query, coloring, starting)?;
     for ((frame, camera), path) in cameras.iter().enumerate().zip(&outputs) {
+        let mut file = OutputFile::create(path, arguments.force)?;
         let (mut image, cost) = session.frame(camera)?;
         if arguments.look.legend {
             image.draw_legend(session.legend());
         }
-        image.write_png(path, arguments.force)?;
-        write_line(&cost.line(frame))?;
+        file.write(&image.to_png()?)?;
+        file.finish()?;
+        table.line(&cost.line(frame))?;
         let bound = cost.error_px.map_or_else(String::new, |px| format!(", screen-space error {px:.2} pixels"));
-        output::line(format_args!(
-            "{}: {}{bound}, drawn by {}",
-            path.display(),
-            output::counted(cost.points, "point"),
-            session.adapter_name()
-        ))?;
+        let points = output::counted(cost.points, "point");
+        let told = format!("{}: {points}{bound}, drawn by {}", path.display(), session.adapter_name());
+        if table.is_standard_output() {
+            eprintln!("esker: {told}");
+        } else {
+            output::line(told)?;
+        }
     }
+    table.finish()?;
     Ok(Outcome::Done)
 }
 

@@ -1,9 +1,64 @@
-//! What a frame cost, as a line of CSV.
+//! What each frame cost, as a table of CSV.
 
+use crate::cli::output;
+use crate::formats::{OutputFile, check_output};
+use anyhow::ensure;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// Where the table goes.
+pub(super) enum Table {
+    Nowhere,
+    /// Line by line.
+    StandardOutput,
+    /// It appears when all is drawn.
+    File(OutputFile),
+}
+
+impl Table {
+    /// With its head; in none of the places where `pictures` will lie.
+    pub fn create(path: Option<&Path>, pictures: &[PathBuf], force: bool) -> anyhow::Result<Self> {
+        let mut table = match path {
+            None => return Ok(Self::Nowhere),
+            Some(path) if path == Path::new("-") => Self::StandardOutput,
+            Some(path) => {
+                let place = check_output(path, force)?;
+                ensure!(
+                    !pictures.contains(&place),
+                    "{}: is the picture's name, too; give --stats another one",
+                    path.display()
+                );
+                Self::File(OutputFile::create(path, force)?)
+            }
+        };
+        table.line(&format!("{HEAD}\n"))?;
+        Ok(table)
+    }
+
+    pub fn is_standard_output(&self) -> bool {
+        matches!(self, Self::StandardOutput)
+    }
+
+    /// Appends a line, with its end.
+    pub fn line(&mut self, line: &str) -> anyhow::Result<()> {
+        match self {
+            Self::Nowhere => {}
+            Self::StandardOutput => output::line(line.trim_end())?,
+            Self::File(file) => file.write(line.as_bytes())?,
+        }
+        Ok(())
+    }
+
+    pub fn finish(self) -> anyhow::Result<()> {
+        match self {
+            Self::Nowhere | Self::StandardOutput => Ok(()),
+            Self::File(file) => Ok(file.finish()?),
+        }
+    }
+}
+
 /// The head of the table.
-pub(super) const HEAD: &str = "frame,points,nodes,parts_loaded,points_loaded,bytes_read,bytes_uploaded,select_ms,load_ms,\
+const HEAD: &str = "frame,points,nodes,parts_loaded,points_loaded,bytes_read,bytes_uploaded,select_ms,load_ms,\
                                read_core_ms,decode_core_ms,pack_core_ms,upload_ms,draw_ms,error_px,adapter_ms,elapsed_ms";
 
 /// What a frame cost. Times of stages that run on all threads are summed over them (`core`); `load` is what passed from

@@ -4,7 +4,7 @@
 use crate::formats::FormatError;
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -64,9 +64,68 @@ pub(super) struct Destination {
     force: bool,
 }
 
+/// May a file be written to `path`, replacing one if `force` is set? Gives where it will lie, by the one name that this place
+/// has: two outputs of which that is the same would be one file. Nothing is made.
+///
+/// # Errors
+///
+/// As [`OutputFile::create`].
+pub fn check_output(path: &Path, force: bool) -> Result<PathBuf, FormatError> {
+    let (target, folder) = Destination::checked(path, force)?;
+    let folder = fs::canonicalize(&folder).unwrap_or(folder);
+    Ok(target.file_name().map_or(target.clone(), |name| folder.join(name)))
+}
+
+/// A file of any content: it appears under its name when it is finished, or not at all.
+#[derive(Debug)]
+pub struct OutputFile {
+    destination: Destination,
+    out: BufWriter<File>,
+}
+
+impl OutputFile {
+    /// Begins the file `path`, or one that will replace it if `force` is set.
+    ///
+    /// # Errors
+    ///
+    /// [`FormatError::AlreadyThere`] if it is there and is not to be replaced, [`FormatError::Unwritable`] if it is no place
+    /// for a file, [`FormatError::Io`] if the system refuses.
+    pub fn create(path: &Path, force: bool) -> Result<Self, FormatError> {
+        let (destination, file) = Destination::file(path, force)?;
+        Ok(Self { destination, out: BufWriter::new(file) })
+    }
+
+    /// Appends.
+    ///
+    /// # Errors
+    ///
+    /// [`FormatError::Io`] if the disk refuses.
+    pub fn write(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
+        self.out.write_all(bytes).map_err(|e| self.destination.error("writing", e))
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    ///
+    /// As [`OutputFile::write`].
+    pub fn finish(self) -> Result<(), FormatError> {
+        let Self { destination, out } = self;
+        let file = out.into_inner().map_err(|e| destination.error("writing", e.into_error()))?;
+        destination.finish(file)
+    }
+}
+
 impl Destination {
     /// A new, empty file that will be `path`, or replace it if `force` is set.
     pub fn file(path: &Path, force: bool) -> Result<(Self, File), FormatError> {
+        let (target, folder) = Self::checked(path, force)?;
+        let (temporary, file) = temporary_file(&folder, path)?;
+        Ok((Self { shown: path.into(), written: path.into(), path: Some(target), temporary, force }, file))
+    }
+
+    /// Where a file of this name lies, through links, and its folder.
+    fn checked(path: &Path, force: bool) -> Result<(PathBuf, PathBuf), FormatError> {
         let refuse = |reason: &str| FormatError::Unwritable { path: path.into(), reason: reason.into() };
         if path.file_name().is_none() {
             return Err(refuse("is a directory; give a file name"));
@@ -110,8 +169,7 @@ impl Destination {
             }
             _ => {}
         }
-        let (temporary, file) = temporary_file(&folder, path)?;
-        Ok((Self { shown: path.into(), written: path.into(), path: Some(target), temporary, force }, file))
+        Ok((target, folder))
     }
 
     /// A new, empty file that will be copied to the standard output.
@@ -198,7 +256,6 @@ fn temporary_file(folder: &Path, shown: &Path) -> Result<(PathBuf, File), Format
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::Write;
 
     fn reason(result: Result<(Destination, File), FormatError>) -> String {
         result.unwrap_err().to_string()
@@ -279,6 +336,20 @@ mod tests {
         for name in ["b-wal", "c.esker-wal", "-wal"] {
             Destination::file(&path(name), true).unwrap();
         }
+    }
+
+    #[test]
+    fn a_place_is_known_by_one_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir(path("below")).unwrap();
+        let place = |name: &str| check_output(&path(name), true).unwrap();
+        assert_eq!(place("a.csv"), place("below/../a.csv"));
+        assert!(place("a.csv") != place("below/a.csv") && place("a.csv") != place("b.csv"));
+        fs::write(path("a.csv"), b"old").unwrap();
+        assert_eq!(place("a.csv"), place("below/../a.csv"));
+        assert!(matches!(check_output(&path("a.csv"), false), Err(FormatError::AlreadyThere { .. })));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 
     #[cfg(unix)]

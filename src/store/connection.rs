@@ -201,6 +201,9 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouc
     // Beside a file that this user may not write SQLite would leave a log and its index, which then the owner may not write.
     let is_anothers = !had_wal && !has_journal(path) && !beside(path, "-shm").exists() && may_not_write(path);
     let opened = if is_anothers { Err(Refused::Place) } else { open(path, Purpose::Read) };
+    if matches!(opened, Err(Refused::Place)) {
+        check_readable(path)?;
+    }
     match opened {
         // No shared memory can be made beside it.
         Err(Refused::Place) if had_wal || has_journal(path) => Err(StoreError::NeedsRecovery { path: path_buf() }),
@@ -220,6 +223,16 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouc
 fn may_not_write(path: &Path) -> bool {
     let opened = std::fs::OpenOptions::new().write(true).open(path);
     opened.is_err_and(|e| e.kind() == std::io::ErrorKind::PermissionDenied)
+}
+
+/// Can the file be opened at all? If not, it is no matter of writing.
+fn check_readable(path: &Path) -> Result<(), StoreError> {
+    // By SQLite first: a file that is opened and closed beside it loses the locks that this process has on it.
+    if connect(path, Purpose::Immutable).is_ok() {
+        return Ok(());
+    }
+    let failed = |source| StoreError::Io { path: path.to_path_buf(), action: "reading the store", source };
+    std::fs::File::open(path).map(drop).map_err(failed)
 }
 
 /// Removes the beginning of an index of the log, which SQLite leaves where there is no room for all of it.

@@ -613,3 +613,41 @@ fn rejected_points_are_told_with_the_reasons() {
     let expected = "a: 2 points stored, 3 rejected (2 not in the file, 1 without a valid position); positions exact\n";
     assert!(told.starts_with(expected), "{told}");
 }
+
+#[cfg(unix)]
+mod permissions {
+    use super::*;
+    use std::os::unix::fs::{MetadataExt, PermissionsExt};
+    use std::os::unix::process::CommandExt;
+
+    fn allow(path: &str, mode: u32) {
+        fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+    }
+
+    /// Runs the program as somebody whom permissions bind: they do not bind a superuser.
+    fn esker_bound(place: &Place, arguments: &[&str]) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_esker"));
+        if fs::metadata(place.folder.path()).unwrap().uid() == 0 {
+            command.uid(65534).gid(65534);
+        }
+        command.args(arguments).output().unwrap()
+    }
+
+    #[test]
+    fn a_store_that_may_not_be_read_is_told_so() {
+        // It was said that it cannot be written.
+        let place = Place::new();
+        let store = place.store(10);
+        allow(&place.path(""), 0o755);
+        allow(&store, 0);
+        for arguments in [["info", &store], ["digest", &store]] {
+            let output = esker_bound(&place, &arguments);
+            let stderr = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(1), "{stderr}");
+            assert!(
+                stderr.starts_with(&format!("esker: {store}: reading the store failed: Permission denied")),
+                "{stderr}"
+            );
+        }
+    }
+}

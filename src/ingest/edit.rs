@@ -213,10 +213,15 @@ pub fn compact(
     let unfinished = PathBuf::from(format!("{}.partial", copy.display()));
     let bytes_before = file_bytes(path);
     let copied = Context::run(path, resources, progress, |context| {
-        let (_, writer) = opened(context, Store::open(path)?)?;
+        let store = Store::open(path)?;
+        // So that nobody writes meanwhile. Who may only read the store may copy it all the same.
+        let _writer = match context.writer(&store) {
+            Err(IngestError::Store(StoreError::ReadOnly { .. })) => None,
+            writer => Some(writer?),
+        };
         // What a run that was cut off has left.
         remove_copy(&unfinished);
-        context.unless_cancelled(|stop| writer.copy_to(&unfinished, stop))?;
+        context.unless_cancelled(|stop| store.copy_to(&unfinished, stop))?;
         Ok(())
     })
     .and_then(|()| compact(&unfinished, None, resources, progress));

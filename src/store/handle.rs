@@ -4,6 +4,7 @@ use super::cache::CacheFigures;
 use super::connection;
 use super::error::{RowError, StoreError};
 use super::files::{beside, followed, journal, wal};
+use super::interrupt::unless;
 use super::lock::WriterLock;
 use super::log::LogMark;
 use super::model::Site;
@@ -13,6 +14,7 @@ use super::snapshot::{Inner, Snapshot};
 use super::writer::Writer;
 use crate::lattice::Lattice;
 use crate::points::Crs;
+use rusqlite::Connection;
 use std::fs::OpenOptions;
 use std::path::Path;
 use std::sync::{Arc, Mutex, Weak};
@@ -212,6 +214,42 @@ impl Store {
             }
         };
         Ok(generation.map_err(|e| self.place.error(e))? != snapshot.generation())
+    }
+
+    /// Writes a copy without free space to `path`, where nothing may be yet, also of a store that can't be written.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::AlreadyThere`], [`StoreError::Full`] and [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; no
+    /// copy is left then.
+    pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
+        if path.exists() {
+            return Err(StoreError::AlreadyThere { path: path.into() });
+        }
+        let Some(text) = path.to_str() else {
+            let what = "the copy's path is no UTF-8".into();
+            return Err(StoreError::Inconsistent { path: path.into(), what });
+        };
+        let copy = |c: &Connection| unless(c, stop, |c| Ok(c.execute("VACUUM INTO ?", [text]).map(drop)?));
+        let copied = match &*self.place {
+            Place::Memory(memory) => copy(&lock(&memory.connection)).map_err(|e| self.place.error(e)),
+            Place::File(file) => {
+                let connection = file.connect()?;
+                // The copy would be a change, too. The connection is not given back.
+                let copied = connection.pragma_update(None, "query_only", false).map_err(RowError::from);
+                let copied = copied.and_then(|()| copy(&connection)).map_err(|e| self.place.error(e));
+                copied.and_then(|()| file.check_untouched())
+            }
+        };
+        if copied.is_err() {
+            let _ = std::fs::remove_file(path);
+        }
+        copied.map_err(|e| match e {
+            // Only the copy is written.
+            StoreError::Full { .. } => StoreError::Full { path: path.into() },
+            StoreError::ReadOnly { .. } => StoreError::ReadOnly { path: path.into() },
+            e => e,
+        })
     }
 
     /// The one writer.

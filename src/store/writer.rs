@@ -406,32 +406,6 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes a copy without free space to `path`, where nothing may be yet.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::AlreadyThere`], [`StoreError::Full`] and [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; no
-    /// copy is left then.
-    pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
-        if path.exists() {
-            return Err(StoreError::AlreadyThere { path: path.into() });
-        }
-        let Some(text) = path.to_str() else {
-            let what = "the copy's path is no UTF-8".into();
-            return Err(StoreError::Inconsistent { path: path.into(), what });
-        };
-        let copied = self.run(|c| unless(c, stop, |c| Ok(c.execute("VACUUM INTO ?", [text]).map(drop)?)));
-        if copied.is_err() {
-            let _ = std::fs::remove_file(path);
-        }
-        copied.map_err(|e| match e {
-            // Only the copy is written.
-            StoreError::Full { .. } => StoreError::Full { path: path.into() },
-            StoreError::ReadOnly { .. } => StoreError::ReadOnly { path: path.into() },
-            e => e,
-        })
-    }
-
     /// Gives up: the store is as it was last committed.
     pub fn abort(self) {}
 

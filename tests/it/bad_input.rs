@@ -650,4 +650,27 @@ mod permissions {
             );
         }
     }
+
+    #[test]
+    fn a_store_that_may_only_be_read_is_copied() {
+        let place = Place::new();
+        let [medium, out] = ["medium", "out"].map(|name| place.path(name));
+        fs::create_dir(&medium).unwrap();
+        fs::create_dir(&out).unwrap();
+        let (store, copy) = (format!("{medium}/torus.esker"), format!("{out}/copy.esker"));
+        fs::copy(place.store(20_000), &store).unwrap();
+        for (path, mode) in [(&place.path(""), 0o755), (&out, 0o777), (&store, 0o444), (&medium, 0o555)] {
+            allow(path, mode);
+        }
+        let before = fs::read(&store).unwrap();
+        let output = esker_bound(&place, &["compact", &store, "-o", &copy]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        // Without a copy it is written, and can't be.
+        let output = esker_bound(&place, &["compact", &store]);
+        assert!(String::from_utf8_lossy(&output.stderr).contains("torus.esker: cannot be written"));
+        allow(&medium, 0o755);
+        assert_eq!(esker_ok(&["digest", &copy]), esker_ok(&["digest", &store]));
+        assert!(fs::read(&store).unwrap() == before);
+        esker_ok(&["verify", &copy, "--deep"]);
+    }
 }

@@ -1,5 +1,6 @@
 //! `esker generate`: synthetic models for trials.
 
+use super::interrupt::cancelled_by_interrupt;
 use super::{Outcome, output, values};
 use crate::generate::{GenerateOptions, Kind, generate};
 use anyhow::bail;
@@ -56,8 +57,9 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     }
     let scans = arguments.scans.unwrap_or(GenerateOptions::default().scans);
     let options = GenerateOptions { force: arguments.force, scans, laz: arguments.laz };
-    let report =
-        generate(arguments.kind, arguments.points, arguments.seed, &arguments.output, &options, &mut |_| true)?;
+    let cancel = cancelled_by_interrupt();
+    let mut go_on = |_| !cancel.is_cancelled();
+    let report = generate(arguments.kind, arguments.points, arguments.seed, &arguments.output, &options, &mut go_on)?;
     for note in &report.notes {
         eprintln!("esker: {}", output::clean(note));
     }

@@ -1,4 +1,4 @@
-//! Ctrl-C in commands that only read: the query ends, and no half-written output is left.
+//! Ctrl-C in commands that change no store: the work ends, and no half-written output is left.
 
 use crate::formats::remove_unfinished;
 use crate::query::Cancel;

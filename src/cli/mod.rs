@@ -29,6 +29,7 @@ mod visibility;
 mod which;
 
 use crate::export::ExportError;
+use crate::generate::GenerateError;
 use crate::ingest::IngestError;
 use crate::query::QueryError;
 use clap::{Parser, Subcommand};
@@ -129,5 +130,6 @@ pub fn main() -> ExitCode {
 fn is_interrupted(error: &anyhow::Error) -> bool {
     error.downcast_ref::<IngestError>().is_some_and(|e| matches!(e, IngestError::Interrupted))
         || error.downcast_ref::<QueryError>().is_some_and(|e| matches!(e, QueryError::Cancelled))
+        || error.downcast_ref::<GenerateError>().is_some_and(|e| matches!(e, GenerateError::Stopped))
         || error.downcast_ref::<ExportError>().is_some_and(|e| matches!(e, ExportError::Query(QueryError::Cancelled)))
 }

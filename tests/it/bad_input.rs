@@ -674,3 +674,24 @@ mod permissions {
         esker_ok(&["verify", &copy, "--deep"]);
     }
 }
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_model_leaves_nothing() {
+    // Its temporary file stayed for ever.
+    let place = Place::new();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_esker"))
+        .args(["generate", "terrain", "--points", "500M", "-o", &place.path("t.laz")])
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let entries = || fs::read_dir(place.folder.path()).unwrap().count();
+    let begun = Instant::now();
+    while entries() == 0 {
+        assert!(begun.elapsed() < Duration::from_secs(60) && child.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(entries(), 0);
+}

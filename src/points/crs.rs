@@ -44,7 +44,7 @@ impl Crs {
             let vertical = codes.next().map_or(Some(None), |code| code.map(Some))?;
             return Some(Self::from_epsg(horizontal, vertical));
         }
-        text.contains('[').then(|| Self { wkt: Some(text.to_owned()), ..Self::default() })
+        is_closed(text).then(|| Self { wkt: Some(text.to_owned()), ..Self::default() })
     }
 
     fn node(&self) -> Option<Node> {
@@ -136,6 +136,21 @@ impl Crs {
     }
 }
 
+/// Is it as WKT is: brackets of which each is closed, the last one at the end?
+fn is_closed(wkt: &str) -> bool {
+    let mut depth = 0_u32;
+    // In quotes brackets are letters; a quote in quotes is two.
+    let outside = wkt.split('"').step_by(2).flat_map(str::bytes);
+    for byte in outside.filter(|b| matches!(b, b'[' | b']')) {
+        match (byte, depth) {
+            (b'[', _) => depth += 1,
+            (_, 0) => return false,
+            _ => depth -= 1,
+        }
+    }
+    depth == 0 && wkt.ends_with(']')
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -144,9 +159,22 @@ mod tests {
     fn codes_and_wkt_are_told_apart() {
         assert_eq!(Crs::parse(" EPSG:25832 "), Some(Crs::from_epsg(25_832, None)));
         assert_eq!(Crs::parse("epsg:25832+7837"), Some(Crs::from_epsg(25_832, Some(7837))));
-        let wkt = r#"PROJCS["here"]"#;
+        let wkt = r#"PROJCS["here ]",UNIT["m"]]"#;
         assert_eq!(Crs::parse(wkt).and_then(|c| c.wkt).as_deref(), Some(wkt));
-        for neither in ["EPSG:0", "EPSG:70000", "EPSG:25832+0", "", "EPSG:", "EPSG:x", "EPSG:1+", "25832", "UTM"] {
+        for neither in [
+            "EPSG:0",
+            "EPSG:70000",
+            "EPSG:25832+0",
+            "",
+            "EPSG:",
+            "EPSG:x",
+            "EPSG:1+",
+            "25832",
+            "UTM",
+            "GEOGCS[",
+            "A[]]",
+            "A[][",
+        ] {
             assert_eq!(Crs::parse(neither), None, "{neither}");
         }
     }

@@ -219,10 +219,19 @@ pub(super) fn open_for_reading(path: &Path) -> Result<(Connection, Option<Untouc
     }
 }
 
-/// Has this user no permission to write the file?
+/// Has this user no permission to write the file? It is not opened to see: closed, it would lose the locks that this process has
+/// on it.
 fn may_not_write(path: &Path) -> bool {
-    let opened = std::fs::OpenOptions::new().write(true).open(path);
-    opened.is_err_and(|e| e.kind() == std::io::ErrorKind::PermissionDenied)
+    #[cfg(unix)]
+    {
+        use rustix::fs::{Access, AtFlags, CWD, accessat};
+        accessat(CWD, path, Access::WRITE_OK, AtFlags::EACCESS) == Err(rustix::io::Errno::ACCESS)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        false
+    }
 }
 
 /// Can the file be opened at all? If not, it is no matter of writing.

@@ -25,14 +25,19 @@ pub(super) fn is_closed_pipe(error: &anyhow::Error) -> bool {
 
 /// Prints a line to stdout; a closed pipe is an error, not a panic.
 pub(super) fn line(text: impl std::fmt::Display) -> io::Result<()> {
-    writeln!(io::stdout().lock(), "{text}")
+    writeln!(io::stdout().lock(), "{text}").map_err(named)
+}
+
+/// Names what could not be written.
+fn named(error: io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("writing to the standard output failed: {error}"))
 }
 
 /// Prints one JSON value on stdout.
 pub(super) fn json(value: &serde_json::Value) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    serde_json::to_writer_pretty(&mut out, value)?;
-    writeln!(out)
+    serde_json::to_writer_pretty(&mut out, value).map_err(|e| named(e.into()))?;
+    writeln!(out).map_err(named)
 }
 
 /// `1234567` as `1,234,567`.

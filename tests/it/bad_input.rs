@@ -392,6 +392,20 @@ fn a_value_may_begin_with_a_dash_and_no_option_is_taken_for_one() {
     assert_eq!(count(&[]), "10");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_standard_output_that_is_full_is_named() {
+    let place = Place::new();
+    let store = place.store(10);
+    for arguments in [&["query", &store, "--count"][..], &["info", &store, "--json"]] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_esker")).args(arguments).stdout(full).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(told.starts_with("esker: writing to the standard output failed: No space left"), "{told}");
+        assert_eq!((output.status.code(), told.lines().count()), (Some(1), 1));
+    }
+}
+
 #[test]
 fn how_a_file_is_written_is_not_asked_for_where_none_is() {
     let place = Place::new();

@@ -64,7 +64,7 @@ struct Wake;
 /// [`ViewerError`] if there is no display or no adapter, or a script waited in vain.
 pub fn run(options: Options) -> Result<(), ViewerError> {
     let started = options.started;
-    let window_error = |e: &dyn std::fmt::Display| ViewerError::Window(e.to_string());
+    let window_error = |e: &dyn std::fmt::Display| ViewerError::Window(without_place(&e.to_string()));
     let events = EventLoop::<Wake>::with_user_event().build().map_err(|e| window_error(&e))?;
     let proxy = events.create_proxy();
     let set = options.remember.as_deref().map(Remembered::load).unwrap_or_default();
@@ -116,6 +116,12 @@ fn dark_context(steady: bool) -> egui::Context {
         context.options_mut(|options| options.input_options.max_click_duration = f64::INFINITY);
     }
     context
+}
+
+/// What winit says of the system's errors, without the place in its source before it.
+fn without_place(text: &str) -> String {
+    let behind = text.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": "));
+    behind.map_or(text, |(_, what)| what).trim_end_matches('.').to_owned()
 }
 
 fn waker(proxy: &EventLoopProxy<Wake>) -> impl Fn() + Send + Sync + 'static {

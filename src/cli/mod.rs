@@ -130,6 +130,7 @@ pub fn main() -> ExitCode {
 fn is_interrupted(error: &anyhow::Error) -> bool {
     error.downcast_ref::<IngestError>().is_some_and(|e| matches!(e, IngestError::Interrupted))
         || error.downcast_ref::<QueryError>().is_some_and(|e| matches!(e, QueryError::Cancelled))
+        || error.is::<verify::Ended>()
         || error.downcast_ref::<GenerateError>().is_some_and(|e| matches!(e, GenerateError::Stopped))
         || error.downcast_ref::<ExportError>().is_some_and(|e| matches!(e, ExportError::Query(QueryError::Cancelled)))
 }

@@ -1,8 +1,8 @@
 //! `esker verify`: is the store whole?
 
+use super::interrupt::cancelled_by_interrupt;
 use super::{Outcome, output};
 use crate::store::{Report, Store, verify};
-use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal;
@@ -28,6 +28,11 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+/// Ctrl-C came before the end.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted; not all was checked")]
+pub(super) struct Ended;
+
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open(&arguments.store)?;
     let bar = ProgressBar::no_length();
@@ -37,13 +42,14 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     if let Ok(style) = ProgressStyle::with_template("verifying [{bar:32}] {human_pos}/{human_len} points  {eta} left") {
         bar.set_style(style.progress_chars("=> "));
     }
+    let cancel = cancelled_by_interrupt();
     let report = verify(&store, arguments.deep, &|done, all| {
         bar.set_length(all);
         bar.set_position(done);
-        ControlFlow::Continue(())
+        if cancel.is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     bar.finish_and_clear();
-    let report = report.context("the check was ended")?;
+    let report = report.ok_or(Ended)?;
     if arguments.json {
         let findings: Vec<_> = report
             .findings

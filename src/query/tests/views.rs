@@ -50,18 +50,19 @@ proptest! {
     #[test]
     fn views_under_a_filter_nest_and_keep_their_promise(
         places in places(120), params in params(), eye in eye(), asked in asked(),
+        threshold in prop::sample::select(vec![1.0, 8.0, 40.0]),
     ) {
         let test = store(&[numbered(places)], params, None);
         let camera = camera(&test, eye, 64);
         let matches = asked.matches(&test, None);
         let seen: Vec<Point> = visible(&test, &camera).into_iter().filter(|p| matches(p)).collect();
-        let (all, whole) = collect(asked.query(&test).view(camera.clone(), 1.0), &test);
+        let (all, whole) = collect(asked.query(&test).view(camera.clone(), threshold), &test);
         prop_assert!(all.iter().all(&matches));
-        // As fine as if there were no points but these: cells of a pixel, none of which is empty.
+        // As fine as if there were no points but these: cells of so many pixels, none of which is empty.
         prop_assert!(whole.error_bound.is_some());
-        prop_assert!(whole.error_bound_px.is_none_or(|px| px <= 1.7321), "{whole:?}");
+        prop_assert!(whole.error_bound_px.is_none_or(|px| px <= 1.7321 * threshold), "{whole:?}");
         prop_assert!(seen.is_empty() || !all.is_empty());
-        let view = || asked.query(&test).view(camera.clone(), 1.0);
+        let view = || asked.query(&test).view(camera.clone(), threshold);
         last_bound(&under_capacities(&test, view, all.len(), &seen)?)?;
         let (finest, answer) = collect(asked.query(&test).view(camera, 0.0), &test);
         let finest = ascending(finest);

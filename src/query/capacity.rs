@@ -5,171 +5,123 @@
 //! level with enough points is enough to look at.
 //!
 //! It is looked at twice, piece by piece. The first time the points of each step are counted, which says at which step the
-//! capacity is used up, and which of that step's points are the last to be taken. The second time they are handed on. So
-//! never more of them are held than a few pieces have, but for those of the few large nodes above the pieces: a point is
-//! settled by its piece, and theirs are known only when all pieces are.
+//! capacity is used up, and which of that step's points are the last to be taken. The second time they are handed on, in
+//! rounds, coarse to fine. So never more of them are held than a few pieces have, but for where the first million of
+//! filtered ones are: those are not looked for again.
 
 use super::QueryError;
-use super::pieces::{Piece, Pieces};
+use super::answer::Meter;
+use super::looked::{Cut, Known, Looked, Place, Places};
+use super::pieces::Pieces;
 use super::plan::Plan;
-use super::task::PieceTask;
-use super::thin::{Thinned, thin};
-use crate::lattice::{BITS, Cube, Key};
-use crate::octree::{EvenPrefix, Step, first_win, steps};
+use super::rounds::{Pace, Round, rounds};
+use super::task::{PieceTask, Task, by_part};
+use super::thin::Thinned;
+use crate::octree::Step;
 use crate::store::NodeIx;
 use std::collections::HashMap;
 use std::sync::Arc;
 
 /// The first points of the sequence: which they are, and how good.
+#[derive(Default)]
 pub(crate) struct Sequence {
-    /// They are among the points of cells of this exponent; `None`: of all.
-    cell: Option<u8>,
-    /// How many there are.
-    pub points: u64,
+    /// How many there are, if that is known.
+    pub points: Option<u64>,
     pub error_bound: Option<f64>,
+    /// Are they all that match?
+    pub is_everything: bool,
+    /// Those that are remembered, with their steps; by step, then by place.
+    held: Vec<(u8, Place)>,
+    held_rounds: Vec<Round>,
+    /// The others.
+    rounds: Vec<Round>,
     cut: Option<Arc<Cut>>,
-    /// What the pieces that have points need to know of those before them, in key order.
-    pieces: Vec<Before>,
-    /// Those in large nodes, by part, then by place.
-    pub above: Vec<(NodeIx, u32, u32)>,
-}
-
-/// Where the sequence is cut off.
-struct Cut {
-    /// The step in which that is.
-    step: u8,
-    /// Those of its points that are taken, by their number in key order.
-    even: EvenPrefix,
-}
-
-impl Cut {
-    fn takes(&self, step: u8, number: impl FnOnce() -> u64) -> bool {
-        step < self.step || step == self.step && self.even.contains(number())
-    }
-}
-
-/// What is to be known of all points before a piece.
-#[derive(Clone, Copy, Default)]
-struct Before {
-    /// The step of the piece's first point; `None` for a piece without points.
-    first: Option<u8>,
-    /// The points of the cut step before the piece.
-    points: u64,
+    places: Option<Arc<Places>>,
 }
 
 /// Which points of a piece are taken.
 pub(crate) struct Kept {
+    /// The step at which the round begins.
+    first_step: u8,
+    /// Where the sequence ends.
     cut: Option<Arc<Cut>>,
-    before: Before,
+    /// What is known of the piece, or of the first cube in it.
+    known: Option<Known>,
 }
 
 impl Kept {
     /// Are the points' steps asked for?
     pub fn needs_steps(&self) -> bool {
-        self.cut.is_some()
+        self.first_step > 0 || self.cut.is_some()
     }
 
     /// Of each of the points, in key order, whether it is taken.
     pub fn of(&self, thinned: &Thinned) -> Vec<bool> {
-        let Some(cut) = &self.cut else { return vec![true; thinned.order.len()] };
-        let mut number = self.before.points;
-        let steps = self.before.first.into_iter().chain(thinned.steps.iter().copied().skip(1));
-        steps
-            .map(|step| {
-                let taken = cut.takes(step, || number);
-                number += u64::from(step == cut.step);
-                taken
-            })
-            .collect()
+        if !self.needs_steps() {
+            return vec![true; thinned.order.len()];
+        }
+        // What the piece's first point wins is coarser than the piece tells. Where it is not known that is of no matter: it
+        // was taken in a round before.
+        let first = self.known.map(|known| known.first);
+        let mut number = self.known.map_or(0, |known| known.before);
+        let take = |step: u8| {
+            let taken = step >= self.first_step && self.cut.as_ref().is_none_or(|cut| cut.takes(step, || number));
+            number += u64::from(self.cut.as_ref().is_some_and(|cut| cut.step == step));
+            taken
+        };
+        first.into_iter().chain(thinned.steps.iter().copied().skip(first.iter().count())).map(take).collect()
     }
 }
 
-/// What the first look at a piece tells.
-struct Facts {
-    cube: Cube,
-    first: Option<Key>,
-    points: u64,
-    /// How many points each step has, the first point left out.
-    counts: Vec<(u8, u64)>,
-    above: Vec<Held>,
+/// A surface has four times as many points at every level, or a little fewer.
+const GROWTH: u64 = 3;
+
+/// Points that are remembered are read part by part in each round, so fewer rounds are quicker.
+const HELD_GROWTH: u64 = 8;
+
+fn pace(plan: &Plan) -> Pace {
+    Pace { root: plan.root().map_or(0, |r| r.k()), reach: plan.g, growth: GROWTH }
 }
 
-/// A point of a large node.
-struct Held {
-    node: NodeIx,
-    part: u32,
-    index: u32,
-    /// `None` for the first point of a piece: what comes before it decides.
-    step: Option<u8>,
-    /// How many points of its step come before it in its piece, the first left out.
-    number: u32,
-}
-
-fn look(plan: &Plan, piece: &Piece, cell: Option<u8>) -> Result<Facts, QueryError> {
-    let thinned = thin(plan, piece, cell, true)?;
-    let mut counts = [0_u32; Step::COUNT];
-    let mut above = Vec::new();
-    for (i, (&at, &step)) in thinned.order.iter().zip(&thinned.steps).enumerate() {
-        let count = &mut counts[usize::from(step)];
-        if let Some(pick) = thinned.above(at) {
-            let step = (i > 0).then_some(step);
-            above.push(Held { node: pick.node, part: pick.part, index: pick.index, step, number: *count });
-        }
-        *count += u32::from(i > 0);
-    }
-    let counts = (0..).zip(counts).filter(|(_, n)| *n > 0).map(|(step, n)| (step, u64::from(n))).collect();
-    Ok(Facts { cube: piece.cube, first: thinned.first, points: thinned.order.len() as u64, counts, above })
-}
-
-fn look_at_all(plan: &Plan, cell: Option<u8>) -> Result<Vec<Facts>, QueryError> {
-    let mut pieces = Pieces::new(plan, cell);
-    let mut facts = Vec::new();
-    loop {
-        let mut window = Vec::new();
-        while window.len() < plan.window()
-            && let Some(piece) = pieces.next(plan)?
-        {
-            window.push(piece);
-        }
-        if window.is_empty() {
-            return Ok(facts);
-        }
-        facts.extend(plan.each(window, |piece| look(plan, &piece, cell))?);
-    }
-}
-
-/// All points of a level.
-pub(crate) fn level(plan: &Plan, c: u8) -> Result<Sequence, QueryError> {
-    let facts = look_at_all(plan, Some(c))?;
+/// All points of a level; if their order is of no matter, in one round.
+pub(crate) fn level(plan: &Plan, c: u8, in_order: bool) -> Result<Sequence, QueryError> {
+    let cell = Some(c);
     let bound = plan.metric().step_bound(c as i8, 7);
-    Ok(Sequence::of(plan, Some(c), facts, u64::MAX, bound))
+    if in_order && !plan.is_unfiltered() {
+        let looked = Looked::at(plan, cell, true)?;
+        return Ok(Sequence::of(plan, cell, looked, None, bound));
+    }
+    let rounds = if in_order {
+        let most = plan.most_points(cell)?;
+        rounds(cell, pace(plan), |c| most.at_level(c.unwrap_or(0)))
+    } else {
+        vec![Round::only(cell)]
+    };
+    Ok(Sequence { points: None, error_bound: Some(bound), rounds, ..Sequence::default() })
 }
 
 /// The first `capacity` points of the sequence, going no finer than cells of exponent `finest`; `None`: to the end.
 pub(crate) fn limited(plan: &Plan, finest: Option<u8>, capacity: u64) -> Result<Sequence, QueryError> {
-    let nothing = |cell| Sequence::of(plan, cell, Vec::new(), capacity, 0.0);
-    let most = plan.most_points()?;
-    if most.all == 0 {
-        return Ok(nothing(finest));
+    let most = plan.most_points(None)?;
+    if most.all == 0 || capacity == 0 {
+        let error_bound = (most.all == 0).then_some(0.0);
+        return Ok(Sequence { points: Some(0), error_bound, ..Sequence::default() });
     }
-    if capacity == 0 {
-        return Ok(Sequence { error_bound: None, ..nothing(finest) });
-    }
-    let coarsest = plan.root().map_or(0, |r| r.k());
     // More than enough, so that the first point that is left out is known: it says how good the answer is. Coarser levels
     // cannot have so many.
-    let start = (finest.unwrap_or(0)..=coarsest).rev().find(|&c| most.by_cell[usize::from(c)] > capacity);
+    let coarsest = plan.root().map_or(0, |r| r.k());
+    let start = (finest.unwrap_or(0)..=coarsest).rev().find(|&c| most.at_level(c) > capacity);
     let mut cell = start.or(finest);
     loop {
-        let facts = look_at_all(plan, cell)?;
-        let points: u64 = facts.iter().map(|f| f.points).sum();
+        let looked = Looked::at(plan, cell, !plan.is_unfiltered())?;
+        let points = looked.points();
         match cell {
             Some(c) if points <= capacity && cell != finest => cell = finer(c, points, capacity, finest),
             _ => {
                 let complete = cell.map_or(0.0, |c| plan.metric().step_bound(c as i8, 7));
                 // A filter may have left nothing at all.
                 let bound = if points == 0 { 0.0 } else { complete };
-                return Ok(Sequence::of(plan, cell, facts, capacity, bound));
+                return Ok(Sequence::of(plan, cell, looked, Some(capacity), bound));
             }
         }
     }
@@ -189,89 +141,98 @@ fn finer(c: u8, points: u64, capacity: u64, finest: Option<u8>) -> Option<u8> {
 
 impl Sequence {
     /// The first `capacity` of the points that were looked at; `complete` is the bound of all of them.
-    fn of(plan: &Plan, cell: Option<u8>, facts: Vec<Facts>, capacity: u64, complete: f64) -> Self {
-        // The first points of the pieces, as a sequence of their own: of points that win a cell larger than their piece
-        // there are no others.
-        let mut firsts: Vec<(Key, i8)> = Vec::new();
-        let mut previous = None;
-        for Facts { cube, first, .. } in &facts {
-            let Some(key) = first else { continue };
-            // Any cube that holds all points gives the same sequence: the first point is first.
-            let win = previous.map_or(BITS as i8, |p| first_win(Some(p), *cube, *cube));
-            firsts.push((*key, win));
-            previous = Some(*cube);
-        }
-        let (keys, wins): (Vec<Key>, Vec<i8>) = firsts.into_iter().unzip();
-        let mut groups = steps(&keys, &wins).into_iter().zip(wins).map(|(group, win)| Step { win, group }.ordinal());
-        let mut pieces: Vec<Before> =
-            facts.iter().map(|f| Before { first: f.first.and_then(|_| groups.next()), points: 0 }).collect();
-        let of_piece = |facts: &Facts, before: &Before, step: u8| {
-            let rest = facts.counts.binary_search_by_key(&step, |c| c.0).map_or(0, |i| facts.counts[i].1);
-            rest + u64::from(before.first == Some(step))
+    fn of(plan: &Plan, cell: Option<u8>, looked: Looked, capacity: Option<u64>, complete: f64) -> Self {
+        let total = looked.points();
+        let cut = capacity.and_then(|capacity| looked.cut(capacity));
+        let points = capacity.map_or(total, |capacity| total.min(capacity));
+        let bound = match &cut {
+            Some(cut) => plan.metric().prefix(points, Some(Step::of_ordinal(cut.step))),
+            None => complete,
         };
-        let mut room = capacity;
-        let total: u64 = facts.iter().map(|f| f.points).sum();
-        let mut cut = None;
-        if total > capacity {
-            for step in 0..Step::COUNT as u8 {
-                let points: u64 = facts.iter().zip(&pieces).map(|(f, b)| of_piece(f, b, step)).sum();
-                match room.checked_sub(points) {
-                    Some(left) => room = left,
-                    None => {
-                        cut = Some(Arc::new(Cut { step, even: EvenPrefix::new(points, room) }));
-                        break;
-                    }
-                }
-            }
+        let last = match &cut {
+            Some(cut) => u8::try_from(Step::of_ordinal(cut.step).win).ok(),
+            None => cell,
+        };
+        let (held_rounds, rounds) = if plan.is_unfiltered() {
+            (Vec::new(), rounds(last, pace(plan), |c| looked.at_level(c)))
+        } else {
+            // Where few points match, coarse levels take as long to find as fine ones: those are remembered instead.
+            let before = looked.held_level();
+            let all_are_held = before <= last;
+            let pace = Pace { reach: u8::MAX, growth: HELD_GROWTH, ..pace(plan) };
+            let held = rounds(if all_are_held { last } else { before }, pace, |c| looked.at_level(c));
+            (held, if all_are_held { Vec::new() } else { vec![Round { cell, before }] })
+        };
+        let (places, held) = looked.places(cut.as_ref());
+        Self {
+            points: Some(points),
+            error_bound: Some(bound),
+            is_everything: cut.is_none() && cell.is_none(),
+            held,
+            held_rounds,
+            rounds,
+            cut: cut.map(Arc::new),
+            places: Some(Arc::new(places)),
         }
-        let mut above = Vec::new();
-        let mut number = 0;
-        for (facts, before) in facts.iter().zip(&mut pieces) {
-            before.points = number;
-            let own_first = |step: u8| u64::from(before.first == Some(step));
-            let taken = |held: &&Held| {
-                let Some(cut) = &cut else { return true };
-                match held.step.map(Ok).or(before.first.map(Err)) {
-                    Some(Ok(step)) => cut.takes(step, || number + own_first(step) + u64::from(held.number)),
-                    Some(Err(first)) => cut.takes(first, || number),
-                    None => false,
-                }
-            };
-            above.extend(facts.above.iter().filter(taken).map(|h| (h.node, h.part, h.index)));
-            number += cut.as_ref().map_or(0, |cut| of_piece(facts, before, cut.step));
-        }
-        above.sort_unstable();
-        let bound =
-            cut.as_ref().map_or(complete, |cut| plan.metric().prefix(capacity, Some(Step::of_ordinal(cut.step))));
-        Self { cell, points: total.min(capacity), error_bound: Some(bound), cut, pieces, above }
     }
 
-    /// The pieces of those that are not in large nodes.
+    /// Those that are remembered: round by round, each by part.
+    pub fn held(&mut self, plan: &Plan) -> Result<Vec<Task>, QueryError> {
+        let mut held = std::mem::take(&mut self.held);
+        let mut tasks = Vec::new();
+        let mut nodes = 0;
+        for i in 0..self.held_rounds.len() {
+            let ends = self.held_rounds.get(i + 1).map_or(u8::MAX, |next| next.first_step());
+            let rest = held.split_off(held.partition_point(|(step, _)| *step < ends));
+            let mut places: Vec<Place> =
+                std::mem::replace(&mut held, rest).into_iter().map(|(_, place)| place).collect();
+            places.sort_unstable();
+            nodes += places.chunk_by(|a, b| a.0 == b.0).count() as u64;
+            tasks.extend(by_part(plan, &places)?);
+        }
+        Meter::add(&plan.meter.nodes, nodes);
+        Ok(tasks)
+    }
+
+    /// The pieces of its rounds.
     pub fn tasks(self, plan: Arc<Plan>) -> impl Iterator<Item = Result<PieceTask, QueryError>> + Send {
-        let Self { cell, cut, pieces: before, .. } = self;
-        let mut before = before.into_iter();
-        let mut pieces = Pieces::new(&plan, cell);
-        std::iter::from_fn(move || {
-            loop {
-                let before = before.next()?;
-                let piece = match pieces.next(&plan) {
-                    Ok(piece) => piece?,
-                    Err(error) => return Some(Err(error)),
-                };
-                let is_own = piece.trees.iter().any(|tree| tree.node.is_some());
-                if is_own && before.first.is_some() {
-                    let kept = Kept { cut: cut.clone(), before };
+        let Self { rounds, cut, places, .. } = self;
+        let is_one_layer = plan.roots.len() <= 1;
+        rounds.into_iter().flat_map(move |round| {
+            let (plan, cut, places) = (plan.clone(), cut.clone(), places.clone());
+            let mut pieces = Pieces::new(&plan, round.cell);
+            std::iter::from_fn(move || {
+                loop {
+                    let piece = match pieces.next(&plan) {
+                        Ok(piece) => piece?,
+                        Err(error) => return Some(Err(error)),
+                    };
+                    // In one layer a node's points win its cells, and those above the piece were given before.
+                    let all_above_are_coarse =
+                        round.before.is_some_and(|c| u16::from(c) + u16::from(plan.g) <= u16::from(piece.cube.k()) + 1);
+                    if is_one_layer && all_above_are_coarse && piece.trees.iter().all(|tree| tree.node.is_none()) {
+                        continue;
+                    }
+                    let known = match &places {
+                        Some(places) => Some(places.of(piece.cube)),
+                        None => None,
+                    };
+                    // Nothing in it matches.
+                    if known.is_some_and(|known| known.is_none()) {
+                        continue;
+                    }
+                    let kept = Kept { first_step: round.first_step(), cut: cut.clone(), known: known.flatten() };
                     let points = piece.points(&plan);
-                    return Some(Ok(PieceTask { piece, points, cell, kept: Some(kept) }));
+                    return Some(Ok(PieceTask { piece, points, cell: round.cell, kept }));
                 }
-            }
+            })
         })
     }
 
     /// How many points each node has of them.
     pub fn by_node(mut self, plan: &Arc<Plan>) -> Result<HashMap<NodeIx, u64>, QueryError> {
         let mut counts: HashMap<NodeIx, u64> = HashMap::new();
-        std::mem::take(&mut self.above).iter().for_each(|(node, ..)| *counts.entry(*node).or_default() += 1);
+        std::mem::take(&mut self.held).iter().for_each(|(_, place)| *counts.entry(place.0).or_default() += 1);
         let mut tasks = self.tasks(plan.clone());
         loop {
             let window: Vec<PieceTask> = tasks.by_ref().take(plan.window()).collect::<Result<_, _>>()?;

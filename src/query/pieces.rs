@@ -97,20 +97,6 @@ fn is_piece(plan: &Plan, c: Option<u8>, cube: Cube, trees: &[Tree]) -> bool {
         || points(trees) <= most(plan)
 }
 
-/// The large nodes of the only layer, in pre-order: those that no piece holds.
-pub(crate) fn large_nodes(plan: &Plan, c: Option<u8>) -> Result<Vec<Node>, QueryError> {
-    let mut large = Vec::new();
-    plan.walk(|node| {
-        let tree = Tree { root: node.cube, node: Some(node.clone()), above: None };
-        if is_piece(plan, c, node.cube, &[tree]) {
-            return Ok(false);
-        }
-        large.push(node.clone());
-        Ok(true)
-    })?;
-    Ok(large)
-}
-
 /// The pieces of a store, in key order. They are disjoint, and all matching points lie in them.
 pub(crate) struct Pieces {
     c: Option<u8>,

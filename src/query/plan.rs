@@ -267,8 +267,8 @@ impl Plan {
         }
     }
 
-    /// At most how many points an answer has: at each cell exponent, and in all.
-    pub fn most_points(&self) -> Result<MostPoints, QueryError> {
+    /// At most how many points an answer has: at each cell exponent down to `finest`, and, if that is `None`, in all.
+    pub fn most_points(&self, finest: Option<u8>) -> Result<MostPoints, QueryError> {
         let mut most = MostPoints { by_cell: [0; BITS as usize + 1], all: 0 };
         self.walk(|head| {
             let own = match &self.scans {
@@ -279,9 +279,14 @@ impl Plan {
             if self.prospect(head, Scope::Own)? != Prospect::Nothing {
                 most.all += own;
             }
-            let finest = if head.is_root() { BITS } else { head.cube.k().saturating_sub(self.g) };
-            most.by_cell[..=usize::from(finest)].iter_mut().for_each(|n| *n += head.own_points);
-            Ok(true)
+            for (part, facts) in head.parts.iter().enumerate() {
+                // The first point of all wins every cell.
+                let is_first = head.is_root() && part == 0;
+                let coarsest =
+                    if is_first { BITS as usize } else { facts.first_step.win.clamp(0, BITS as i8) as usize };
+                most.by_cell[..=coarsest].iter_mut().for_each(|n| *n += u64::from(facts.points));
+            }
+            Ok(finest.is_none_or(|c| head.cube.k() > c.saturating_add(self.g)))
         })?;
         Ok(most)
     }
@@ -296,10 +301,16 @@ impl Plan {
 
 /// Upper limits of the number of matching points.
 pub(crate) struct MostPoints {
-    /// Of those that an answer at this cell exponent has.
-    pub by_cell: [u64; BITS as usize + 1],
+    by_cell: [u64; BITS as usize + 1],
     /// Of all.
     pub all: u64,
+}
+
+impl MostPoints {
+    /// Of those that an answer at this cell exponent has.
+    pub fn at_level(&self, cell: u8) -> u64 {
+        self.by_cell[usize::from(cell.min(BITS))]
+    }
 }
 
 /// Least and greatest x and y of all points.

@@ -2,12 +2,11 @@
 
 use super::answer::{Answer, Meter, Stage};
 use super::batches::{Batches, Prepared};
-use super::capacity::{self, Sequence};
-use super::pieces::{Pieces, large_nodes};
+use super::capacity;
 use super::plan::{Plan, Prospect, Scope};
 use super::seen;
 use super::stream::{Source, Stream};
-use super::task::{PieceTask, Task, by_part, count, points, work};
+use super::task::{Task, count, points, work};
 use super::{Query, QueryError, Region};
 use crate::points::Batch;
 use crate::store::model::PartHead;
@@ -198,37 +197,41 @@ impl Query {
                 let chosen = seen::view(&plan, self, camera, *max_error_px, cell, counting)?;
                 listed(&mut plan, chosen)
             }
-            (None, None, None) => {
-                let all = everything(&mut plan, &self.region, counting)?;
-                listed(&mut plan, all)
-            }
-            (None, Some(cell), None) if plan.roots.len() <= 1 => {
-                let bound = plan.metric().step_bound(cell as i8, 7);
-                let plan = Arc::new(plan);
-                let source = level(&plan, cell)?;
-                return Ok(Prepared { plan, source, answer: answer(0, Some(bound)) });
-            }
             (None, cell, capacity) => {
-                if let Some(capacity) = capacity {
-                    let enough = cell.is_none() && plan.most_points()?.all <= capacity;
-                    if enough {
-                        let all = everything(&mut plan, &self.region, counting)?;
-                        let (source, answer) = listed(&mut plan, all);
-                        return Ok(Prepared { plan: Arc::new(plan), source, answer });
+                let sequence = match capacity {
+                    None => None,
+                    Some(capacity) if cell.is_none() && plan.most_points(None)?.all <= capacity => None,
+                    Some(capacity) => {
+                        plan.reads(capacity);
+                        let limited = || capacity::limited(&plan, cell, capacity);
+                        Some(plan.meter.time(Stage::Selecting, limited)?)
                     }
-                    plan.reads(capacity);
+                };
+                let sequence = match (sequence, cell) {
+                    (None, Some(cell)) => {
+                        plan.reads(plan.most_points(Some(cell))?.at_level(cell));
+                        Some(plan.meter.time(Stage::Selecting, || capacity::level(&plan, cell, !counting))?)
+                    }
+                    (sequence, _) => sequence,
+                };
+                match sequence.filter(|sequence| !sequence.is_everything) {
+                    None => {
+                        let all = everything(&mut plan, &self.region, counting)?;
+                        listed(&mut plan, all)
+                    }
+                    Some(mut sequence) => {
+                        let plan = Arc::new(plan);
+                        let answer = answer(sequence.points.unwrap_or(0), sequence.error_bound);
+                        let source: Source<Task> = if counting && sequence.points.is_some() {
+                            Box::new(std::iter::empty())
+                        } else {
+                            let held = sequence.held(&plan)?;
+                            let pieces = sequence.tasks(plan.clone()).map(|task| Ok(Task::Piece(task?)));
+                            Box::new(held.into_iter().map(Ok).chain(pieces))
+                        };
+                        return Ok(Prepared { plan, source, answer });
+                    }
                 }
-                let plan = Arc::new(plan);
-                let sequence = plan.meter.time(Stage::Selecting, || match (cell, capacity) {
-                    (cell, Some(capacity)) => capacity::limited(&plan, cell, capacity),
-                    // The least of a cell may be of any layer.
-                    (Some(cell), None) => capacity::level(&plan, cell),
-                    (None, None) => Err(QueryError::Combination("nothing thins the points")),
-                })?;
-                let answer = answer(sequence.points, sequence.error_bound);
-                let source: Source<Task> =
-                    if counting { Box::new(std::iter::empty()) } else { first_points(&plan, sequence)? };
-                return Ok(Prepared { plan, source, answer });
             }
         };
         Ok(Prepared { plan: Arc::new(plan), source, answer })
@@ -277,45 +280,4 @@ fn parts_of(plan: &Plan, node: &Node, tasks: &mut Vec<(u8, Task)>) -> Result<(),
 /// Coarse to fine, so that who stops early has all of it thinned; nodes of one size keep the order of the tree.
 fn coarse_first(tasks: &mut [(u8, Task)]) {
     tasks.sort_by_key(|(k, _)| Reverse(*k));
-}
-
-/// The points of a level of the only layer.
-fn level(plan: &Arc<Plan>, cell: u8) -> Result<Source<Task>, QueryError> {
-    let mut tasks = Vec::new();
-    // All that match in a large node are the least of their cells.
-    for node in large_nodes(plan, Some(cell))? {
-        parts_of(plan, &node, &mut tasks)?;
-    }
-    coarse_first(&mut tasks);
-    let plan = plan.clone();
-    let mut pieces = Pieces::new(&plan, Some(cell));
-    let pieces = std::iter::from_fn(move || {
-        loop {
-            match pieces.next(&plan) {
-                Ok(piece) => {
-                    let piece = piece?;
-                    if piece.trees.iter().any(|tree| tree.node.is_some()) {
-                        let points = piece.points(&plan);
-                        return Some(Ok(Task::Piece(PieceTask { piece, points, cell: Some(cell), kept: None })));
-                    }
-                }
-                Err(error) => return Some(Err(error)),
-            }
-        }
-    });
-    Ok(Box::new(tasks.into_iter().map(|(_, task)| Ok(task)).chain(pieces)))
-}
-
-/// The first points of a sequence.
-fn first_points(plan: &Arc<Plan>, mut sequence: Sequence) -> Result<Source<Task>, QueryError> {
-    let mut tasks = Vec::new();
-    let above = std::mem::take(&mut sequence.above);
-    Meter::add(&plan.meter.nodes, above.chunk_by(|a, b| a.0 == b.0).count() as u64);
-    for task in by_part(plan, &above)? {
-        let Task::Picked { node, .. } = &task else { continue };
-        tasks.push((plan.nodes.node(*node)?.cube.k(), task));
-    }
-    coarse_first(&mut tasks);
-    let pieces = sequence.tasks(plan.clone()).map(|task| Ok(Task::Piece(task?)));
-    Ok(Box::new(tasks.into_iter().map(|(_, task)| Ok(task)).chain(pieces)))
 }

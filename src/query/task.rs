@@ -2,10 +2,11 @@
 
 use super::QueryError;
 use super::capacity::Kept;
+use super::looked::Place;
 use super::part::{Look, Part};
 use super::pieces::Piece;
 use super::plan::{Plan, Prospect};
-use super::thin::thin;
+use super::thin::{Thinned, thin};
 use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
 use crate::points::Batch;
@@ -21,36 +22,31 @@ pub(crate) enum Task {
     Piece(PieceTask),
 }
 
-/// Points of a level in a piece: all of them, or those that a sequence has.
+/// Points of a level in a piece: those that a sequence has.
 pub(crate) struct PieceTask {
     pub piece: Piece,
     /// How many there are at most.
     pub points: u64,
     pub cell: Option<u8>,
-    pub kept: Option<Kept>,
+    pub kept: Kept,
 }
 
 impl PieceTask {
+    fn thinned<'a>(&self, plan: &'a Plan) -> Result<(Thinned<'a>, Vec<bool>), QueryError> {
+        let thinned = thin(plan, &self.piece, self.cell, self.kept.needs_steps())?;
+        let taken = self.kept.of(&thinned);
+        Ok((thinned, taken))
+    }
+
     fn batch(self, plan: &Plan) -> Result<Batch, QueryError> {
-        let thinned = thin(plan, &self.piece, self.cell, self.needs_steps())?;
-        match &self.kept {
-            None => thinned.batch(|_| true),
-            Some(kept) => {
-                let taken = kept.of(&thinned);
-                thinned.batch(|i| taken[i])
-            }
-        }
+        let (thinned, taken) = self.thinned(plan)?;
+        thinned.batch(&taken)
     }
 
     /// How many points of which node there are.
     pub fn count(&self, plan: &Plan) -> Result<Vec<(NodeIx, u64)>, QueryError> {
-        let thinned = thin(plan, &self.piece, self.cell, self.needs_steps())?;
-        let taken = self.kept.as_ref().map(|kept| kept.of(&thinned));
-        Ok(thinned.count(|i| taken.as_ref().is_none_or(|taken| taken[i])))
-    }
-
-    fn needs_steps(&self) -> bool {
-        self.kept.as_ref().is_some_and(Kept::needs_steps)
+        let (thinned, taken) = self.thinned(plan)?;
+        Ok(thinned.count(&taken))
     }
 }
 
@@ -105,7 +101,7 @@ pub(crate) fn outside(plan: &Plan) -> impl Fn(&LatticeBox) -> bool + '_ {
 }
 
 /// A task for each part of these places, which are in its order: node, part, index.
-pub(crate) fn by_part(plan: &Plan, places: &[(NodeIx, u32, u32)]) -> Result<Vec<Task>, QueryError> {
+pub(crate) fn by_part(plan: &Plan, places: &[Place]) -> Result<Vec<Task>, QueryError> {
     places
         .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
         .map(|run| {

@@ -3,6 +3,7 @@
 mod engine;
 mod extents;
 mod layers;
+mod order;
 mod stores;
 mod views;
 

@@ -3,6 +3,7 @@
 use super::QueryError;
 use super::answer::Meter;
 use super::cells::{Hole, Level, Pick, Reading, fill, read_node};
+use super::looked::Place;
 use super::pieces::{Above, Piece};
 use super::plan::Plan;
 use super::task::{by_part, work};
@@ -199,15 +200,8 @@ impl Thinned<'_> {
         if self.plan.roots.len() < 2 {
             return Ok(());
         }
-        // Where the points of each part that was read are in it: made once, since there may be many ties.
-        let indices: Vec<Vec<u32>> = self
-            .sources
-            .iter()
-            .map(|source| match source {
-                Source::Read(reading) => reading.indices().collect(),
-                Source::Above(_) | Source::Filled(_) => Vec::new(),
-            })
-            .collect();
+        // Made once, since there may be many ties.
+        let indices = self.indices();
         let mut tied: Vec<(Pick, u32)> = Vec::new();
         for run in order.chunk_by(|a, b| a.0 == b.0).filter(|run| run.len() > 1) {
             tied.extend(run.iter().map(|&(key, at)| (self.pick(full(key), at, &indices), at)));
@@ -225,6 +219,34 @@ impl Thinned<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Where the points of each part that was read are in it.
+    fn indices(&self) -> Vec<Vec<u32>> {
+        let of_source = |source: &Source| match source {
+            Source::Read(reading) => reading.indices().collect(),
+            Source::Above(_) | Source::Filled(_) => Vec::new(),
+        };
+        self.sources.iter().map(of_source).collect()
+    }
+
+    /// Where some of the points are, told by their numbers in key order.
+    pub fn places(&self, some: impl ExactSizeIterator<Item = usize>) -> Vec<Place> {
+        if some.len() == 0 {
+            return Vec::new();
+        }
+        let indices = self.indices();
+        let place = |i: usize| {
+            let (source, within) = self.place(self.order[i]);
+            match &self.sources[source] {
+                Source::Above(picks) | Source::Filled(picks) => {
+                    let pick = picks[within];
+                    (pick.node, pick.part, pick.index)
+                }
+                Source::Read(reading) => (reading.node, reading.part, indices[source][within]),
+            }
+        };
+        some.map(place).collect()
     }
 
     /// The source of a point, and its place there.
@@ -245,77 +267,67 @@ impl Thinned<'_> {
         }
     }
 
-    /// Where a point is, if that is in a node above the piece.
-    pub fn above(&self, at: u32) -> Option<Pick> {
-        let (source, i) = self.place(at);
-        match &self.sources[source] {
-            Source::Above(picks) => Some(picks[i]),
-            _ => None,
-        }
-    }
-
-    /// Which of the numbered points are in the answer.
-    fn taken(&self, keep: impl Fn(usize) -> bool) -> Vec<bool> {
+    /// Which of the points by number are in the answer, `kept` saying so in key order.
+    fn taken(&self, kept: &[bool]) -> Vec<bool> {
         let mut taken = vec![false; self.starts.last().map_or(0, |&end| end as usize)];
-        for (i, &at) in self.order.iter().enumerate() {
-            taken[at as usize] = keep(i);
-        }
+        self.order.iter().zip(kept).for_each(|(&at, &kept)| taken[at as usize] = kept);
         taken
     }
 
-    /// How many points of each node are in the answer, those above the piece left out; `keep` says so of each by its place
-    /// in the order.
-    pub fn count(&self, keep: impl Fn(usize) -> bool) -> Vec<(NodeIx, u64)> {
-        let taken = self.taken(keep);
+    /// How many points of each node are in the answer, `kept` saying so in key order.
+    pub fn count(&self, kept: &[bool]) -> Vec<(NodeIx, u64)> {
+        let taken = self.taken(kept);
         let mut counts = Vec::new();
         for (source, range) in self.sources.iter().zip(self.starts.windows(2)) {
             let taken = &taken[range[0] as usize..range[1] as usize];
-            let number = |taken: &[bool]| taken.iter().map(|&t| u64::from(t)).sum::<u64>();
             match source {
-                Source::Above(_) => {}
-                Source::Read(reading) => counts.push((reading.node, number(taken))),
-                Source::Filled(picks) => {
-                    counts.extend(picks.iter().zip(taken).map(|(pick, &t)| (pick.node, u64::from(t))));
+                Source::Read(reading) => counts.push((reading.node, taken.iter().map(|&t| u64::from(t)).sum())),
+                Source::Above(picks) | Source::Filled(picks) => {
+                    counts.extend(picks.iter().zip(taken).filter(|(_, taken)| **taken).map(|(pick, _)| (pick.node, 1)));
                 }
             }
         }
         counts
     }
 
-    /// The points with the attributes asked for, in the order of nodes, those above the piece left out.
-    pub fn batch(self, keep: impl Fn(usize) -> bool) -> Result<Batch, QueryError> {
+    /// The points with the attributes asked for, in the order of nodes, `kept` saying in key order which.
+    pub fn batch(self, kept: &[bool]) -> Result<Batch, QueryError> {
         let plan = self.plan;
-        let taken = self.taken(keep);
-        let count = taken.iter().filter(|t| **t).count();
-        let read = self.sources.iter().filter_map(|source| match source {
-            Source::Read(reading) => Some(reading.node),
-            _ => None,
-        });
-        Meter::add(&plan.meter.nodes, read.collect::<BTreeSet<_>>().len() as u64);
+        let count = kept.iter().filter(|kept| **kept).count();
         let mut all = Batch::empty(plan.attributes.clone());
+        if count == 0 {
+            return Ok(all);
+        }
+        let taken = self.taken(kept);
         all.positions = Positions::with_capacity(count);
         all.columns = plan.columns.iter().map(|c| Column::with_capacity(c.attribute.ty, count)).collect();
+        let mut nodes = BTreeSet::new();
         for (source, range) in self.sources.into_iter().zip(self.starts.windows(2)) {
             let taken = &taken[range[0] as usize..range[1] as usize];
+            if !taken.contains(&true) {
+                continue;
+            }
             match source {
-                Source::Above(_) => {}
                 Source::Read(mut reading) => {
                     if taken.contains(&false) {
                         let mut taken = taken.iter().copied();
                         reading.narrow(|| taken.next().unwrap_or(false));
                     }
+                    nodes.insert(reading.node);
                     reading.read.take_into(&reading.found, &mut all)?;
                 }
-                Source::Filled(picks) => {
+                Source::Above(picks) | Source::Filled(picks) => {
                     let taken = picks.iter().zip(taken).filter(|(_, taken)| **taken);
                     let mut places: Vec<_> = taken.map(|(p, _)| (p.node, p.part, p.index)).collect();
                     places.sort_unstable();
+                    nodes.extend(places.iter().map(|p| p.0));
                     for task in by_part(plan, &places)? {
                         all.append(&work(plan, task)?);
                     }
                 }
             }
         }
+        Meter::add(&plan.meter.nodes, nodes.len() as u64);
         Ok(all)
     }
 }

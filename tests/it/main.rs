@@ -15,6 +15,7 @@ mod growth;
 mod histories;
 mod kinds;
 mod memory;
+mod order;
 mod outofcore;
 mod outputs;
 #[cfg(feature = "render")]

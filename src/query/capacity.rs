@@ -213,10 +213,7 @@ impl Sequence {
                     if is_one_layer && all_above_are_coarse && piece.trees.iter().all(|tree| tree.node.is_none()) {
                         continue;
                     }
-                    let known = match &places {
-                        Some(places) => Some(places.of(piece.cube)),
-                        None => None,
-                    };
+                    let known = places.as_ref().map(|places| places.of(piece.cube));
                     // Nothing in it matches.
                     if known.is_some_and(|known| known.is_none()) {
                         continue;

@@ -16,7 +16,7 @@ use crate::points::Batch;
 use crate::query::{Detail, Query, Region, flat_attributes, occupied_boxes};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
 use crate::store::model::{Scan, ScanId};
-use crate::store::{Snapshot, Store, WorldBounds};
+use crate::store::{Snapshot, Store, WorldBounds, info};
 use crate::stream::gpu::Paint;
 use anyhow::{Context, bail};
 use clap::Args;
@@ -224,6 +224,7 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
         ),
         range: arguments.range,
         scan_names: scans().map(|s| (s.id, s.name.clone())).collect(),
+        levels: if mode == ColorMode::Level && arguments.look.legend { Some(info(snapshot)?.levels) } else { None },
     };
     let uncolored = mode == ColorMode::Rgb && options.depths.by_scan.values().any(Option::is_none);
     let mut sample = Vec::new();

@@ -24,6 +24,8 @@ pub struct ColorOptions {
     pub range: Option<[f64; 2]>,
     /// What scans are called in the legend.
     pub scan_names: BTreeMap<u32, String>,
+    /// How many levels the legend lists; `None`: the first twelve.
+    pub levels: Option<u32>,
 }
 
 /// How the points of a site are coloured: what their values are, what colours these have, and what that means.
@@ -146,7 +148,11 @@ impl ValuePaint {
             }
             ColorMode::Level => {
                 let colors: Vec<_> = (0..=u32::from(crate::lattice::BITS)).map(tables::category).collect();
-                let key = entries(&tables::category, &|number| format!("level {number}"), (0..12).collect());
+                let key = entries(
+                    &tables::category,
+                    &|number| format!("level {number}"),
+                    (0..options.levels.unwrap_or(12)).collect(),
+                );
                 (Palette::levels(colors), Legend { title: "Level".into(), key })
             }
         }

@@ -48,6 +48,7 @@ impl Model {
                 depths: site.depths.clone(),
                 range: self.range,
                 scan_names: site.scans.iter().map(|s| (s.id, s.name.clone())).collect(),
+                levels: None,
             };
             let made = Coloring::new(&[&site.sample], &site.lattice, &options).or_else(|_| {
                 // The mode shows what these points lack: heights are always there.

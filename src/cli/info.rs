@@ -36,7 +36,8 @@ fn print(snapshot: &Snapshot, info: &Description) -> std::io::Result<()> {
     let site = snapshot.site();
     let unit = info.unit.unwrap_or("unit unknown");
     output::line(format_args!("points       {}", output::grouped(info.points)))?;
-    output::line(format_args!("scans        {}", info.scans))?;
+    let hidden = if info.scans_hidden > 0 { format!(" ({} hidden)", info.scans_hidden) } else { String::new() };
+    output::line(format_args!("scans        {}{hidden}", info.scans))?;
     output::line(format_args!(
         "nodes        {} on {}",
         output::grouped(info.nodes),

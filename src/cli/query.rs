@@ -298,6 +298,11 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
             );
         }
     }
+    let hidden = snapshot.scans().iter().filter(|s| !s.visible).count();
+    if answer.points == 0 && hidden > 0 && arguments.which.scans.is_empty() {
+        let scans = snapshot.scans().len();
+        eprintln!("esker: {hidden} of {scans} scans are hidden; `esker show` shows them, --scan asks for one");
+    }
     if arguments.which.place.closed || !matches!(region, Region::Box { .. }) {
         return Ok(());
     }

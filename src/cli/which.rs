@@ -16,7 +16,7 @@ pub(super) struct Which {
     filter: Option<String>,
     /// Only this scan, by name or id; may be given several times.
     #[arg(long = "scan", value_name = "NAME", value_parser = values::name, allow_hyphen_values = true)]
-    scans: Vec<String>,
+    pub scans: Vec<String>,
 }
 
 impl Which {

@@ -69,16 +69,18 @@ fn finest(evidence: &[Evidence], notes: &mut Vec<String>) -> [Decimal; 3] {
     });
     let per_axis = own.reduce(|a, b| std::array::from_fn(|i| a[i].min(b[i]))).unwrap_or([Decimal::new(1, -3); 3]);
     let one = per_axis[0].min(per_axis[1]).min(per_axis[2]);
-    if evidence.iter().any(|e| e.geographic) && (per_axis[0] != per_axis[2] || per_axis[1] != per_axis[2]) {
-        notes.push(format!(
-            "coordinates are degrees and metres: the quantum is {} x {} x {} per axis, and distances (spacing, error \
-             bounds, spheres) mix the two units",
-            per_axis[0], per_axis[1], per_axis[2]
-        ));
-        per_axis
-    } else {
-        [one; 3]
+    let differ = per_axis[0] != per_axis[2] || per_axis[1] != per_axis[2];
+    if !evidence.iter().any(|e| e.geographic) {
+        return [one; 3];
     }
+    let quantum = match per_axis {
+        [x, y, z] if differ => format!("the quantum is {x} x {y} x {z} per axis, and "),
+        _ => String::new(),
+    };
+    notes.push(format!(
+        "coordinates are degrees and metres: {quantum}distances (spacing, error bounds, spheres) mix the two units"
+    ));
+    per_axis
 }
 
 /// The largest power of ten that is at most a millionth of `extent`, within 1e-6 to 1e-3.

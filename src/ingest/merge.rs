@@ -132,7 +132,7 @@ fn agreed(shards: &[Shard]) -> Result<Site, IngestError> {
         }
         match (&site.crs, &other.crs) {
             (Some(a), Some(b)) if a.same_as(b) == Some(false) => {
-                return refuse(format!("its CRS is {}, the other's {}", b.describe(), a.describe()));
+                return refuse(format!("its CRS is {}, the other's {}", b.describe_beside(a), a.describe_beside(b)));
             }
             (None, Some(crs)) => site.crs = Some(crs.clone()),
             _ => {}
@@ -144,10 +144,20 @@ fn agreed(shards: &[Shard]) -> Result<Site, IngestError> {
 /// What is taken for granted.
 fn notes(shards: &[Shard], site: &Site) -> Vec<String> {
     let Some(crs) = &site.crs else { return Vec::new() };
-    let without = shards.iter().filter(|shard| shard.snapshot.site().crs.is_none());
-    without
-        .map(|s| format!("{} names no CRS and is taken to be in the others', {}", s.path.display(), crs.describe()))
-        .collect()
+    let note = |shard: &Shard| match &shard.snapshot.site().crs {
+        None => {
+            let path = shard.path.display();
+            Some(format!("{path} names no CRS and is taken to be in the others', {}", crs.describe()))
+        }
+        Some(own) if own.same_as(crs).is_none() => Some(format!(
+            "{}: can't tell whether its CRS ({}) is the others' ({}); its coordinates are taken as they are",
+            shard.path.display(),
+            own.describe(),
+            crs.describe()
+        )),
+        Some(_) => None,
+    };
+    shards.iter().filter_map(note).collect()
 }
 
 /// The bookmarks of them all: one that several have alike is taken once, one of a name that is taken gets a number.

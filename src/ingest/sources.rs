@@ -238,24 +238,41 @@ pub(super) fn agree_on_crs(
                 Some(false) if ignore => notes.push(format!(
                     "{}: its CRS is {}, the site's is {}; its coordinates are taken as they are (--ignore-crs)",
                     path.display(),
-                    crs.describe(),
-                    expected.describe()
+                    crs.describe_beside(expected),
+                    expected.describe_beside(crs)
                 )),
                 Some(false) => {
                     return Err(IngestError::OtherCrs {
                         path: path.clone(),
-                        expected: expected.describe(),
-                        found: crs.describe(),
+                        expected: expected.describe_beside(crs),
+                        found: crs.describe_beside(expected),
                     });
                 }
                 None => notes.push(format!(
-                    "{}: can't tell whether its CRS ({}) is the site's ({})",
+                    "{}: can't tell whether its CRS ({}) is the site's ({}); its coordinates are taken as they are",
                     path.display(),
                     crs.describe(),
                     expected.describe()
                 )),
             },
         }
+    }
+    let far = |source: &&Source| {
+        let is_geographic = source.crs.as_ref().or(site.as_ref()).is_some_and(Crs::is_geographic);
+        let bounds = source.reader.info().bounds_hint.filter(|_| is_geographic);
+        bounds.is_some_and(|(min, max)| (0..2).any(|axis| min[axis].abs().max(max[axis].abs()) > 360.0))
+    };
+    for source in sources.iter().filter(far) {
+        let (min, max) = source.reader.info().bounds_hint.unwrap_or_default();
+        let crs = source.crs.as_ref().or(site.as_ref()).map(Crs::describe).unwrap_or_default();
+        notes.push(format!(
+            "{}: its CRS ({crs}) is in degrees, but its coordinates lie between {},{} and {},{}; --crs says what they are",
+            source.reader.info().path.display(),
+            min[0],
+            min[1],
+            max[0],
+            max[1]
+        ));
     }
     let without = sources.iter().filter(|s| s.crs.is_none()).count();
     if let (Some(crs), true) = (&site, without > 0) {

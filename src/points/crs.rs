@@ -91,18 +91,23 @@ impl Crs {
             9003 => Some("US survey foot"),
             _ => None,
         };
-        // UTM on WGS 84, NAD83 and ETRS89 is in metres.
+        // UTM on WGS 84, NAD83 and ETRS89 is in metres, and so are many countries' systems.
         let of_code = || {
             let code = self.horizontal_epsg?;
             let utm = matches!(code, 32601..=32660 | 32701..=32760 | 26901..=26923 | 25828..=25838);
-            utm.then_some("metre")
+            // Those of France, Switzerland, Great Britain, the Netherlands, Belgium, Austria, Poland; web maps.
+            const METRES: &[u32] = &[2154, 2056, 21781, 27700, 28992, 31370, 3812, 31287, 2180, 3857];
+            (utm || METRES.contains(&code)).then_some("metre")
         };
         of_text.or_else(of_keys).or_else(of_code)
     }
 
-    /// Is `other` the same system? By EPSG code where both are known (vertical ones only count where both have one),
-    /// else by WKT without regard to spelling; `None` if that can't be told.
+    /// Is `other` the same system? By the unit where both say one and it differs; by EPSG code where both are known (vertical
+    /// ones only count where both have one), else by WKT without regard to spelling; `None` if that can't be told.
     pub fn same_as(&self, other: &Self) -> Option<bool> {
+        if self.has_another_unit(other) {
+            return Some(false);
+        }
         if let (Some(a), Some(b)) = (self.horizontal_epsg, other.horizontal_epsg) {
             let vertical = match (self.vertical_epsg, other.vertical_epsg) {
                 (Some(a), Some(b)) => a == b,
@@ -119,6 +124,18 @@ impl Crs {
         }
         // The same keys are the same system; different ones may yet be.
         (!self.geotiff.is_empty() && self.geotiff == other.geotiff && self.wkt == other.wkt).then_some(true)
+    }
+
+    fn has_another_unit(&self, other: &Self) -> bool {
+        self.unit_name().zip(other.unit_name()).is_some_and(|(own, other)| own != other)
+    }
+
+    /// [`Crs::describe`] beside another one: with the unit, where that differs.
+    pub fn describe_beside(&self, other: &Self) -> String {
+        match self.unit_name() {
+            Some(unit) if self.has_another_unit(other) => format!("{} in {unit}", self.describe()),
+            _ => self.describe(),
+        }
     }
 
     /// One line for people: name and codes, as far as known.
@@ -210,6 +227,13 @@ mod tests {
         assert_eq!(text("LOCAL_CS[\"a\"]").same_as(&text("LOCAL_CS[\"b\"]")), Some(false));
         assert_eq!(text("rubbish").same_as(&text("rub bish")), Some(true));
         assert_eq!(utm(None).same_as(&text("LOCAL_CS[\"a\"]")), None);
+        // Feet are not metres, nor degrees, whatever else they are.
+        let feet = keys(&[(1024, 1), (3072, 26915), (3076, 9003)]);
+        assert_eq!(utm(None).same_as(&feet), Some(false));
+        assert_eq!(feet.describe_beside(&utm(None)), "EPSG:26915 in US survey foot");
+        assert_eq!(feet.describe_beside(&feet), "EPSG:26915");
+        assert_eq!(utm(None).same_as(&text("GEOGCS[\"a\",UNIT[\"degree\",0.0174532925199433]]")), Some(false));
+        assert_eq!(keys(&[(1024, 1), (3076, 9002)]).same_as(&text("PROJCS[\"a\",UNIT[\"metre\",1]]")), Some(false));
         assert_eq!(keys(&[(1024, 1), (3072, 32767)]).same_as(&keys(&[(1024, 1), (3072, 32767)])), Some(true));
     }
 

@@ -93,7 +93,7 @@ pub(crate) fn level(plan: &Plan, c: u8, in_order: bool) -> Result<Sequence, Quer
     }
     let rounds = if in_order {
         let most = plan.most_points(cell)?;
-        rounds(cell, pace(plan), |c| most.at_level(c.unwrap_or(0)))
+        rounds(cell, pace(plan), |c| most.about(c.unwrap_or(0)))
     } else {
         vec![Round::only(cell)]
     };

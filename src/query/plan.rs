@@ -269,7 +269,8 @@ impl Plan {
 
     /// At most how many points an answer has: at each cell exponent down to `finest`, and, if that is `None`, in all.
     pub fn most_points(&self, finest: Option<u8>) -> Result<MostPoints, QueryError> {
-        let mut most = MostPoints { by_cell: [0; BITS as usize + 1], all: 0 };
+        let nothing = [0; BITS as usize + 1];
+        let mut most = MostPoints { by_cell: nothing, about: nothing, all: 0 };
         self.walk(|head| {
             let own = match &self.scans {
                 None => head.own_points,
@@ -279,12 +280,17 @@ impl Plan {
             if self.prospect(head, Scope::Own)? != Prospect::Nothing {
                 most.all += own;
             }
+            let mut own = [0; BITS as usize + 1];
             for (part, facts) in head.parts.iter().enumerate() {
                 // The first point of all wins every cell.
                 let is_first = head.is_root() && part == 0;
-                let coarsest =
-                    if is_first { BITS as usize } else { facts.first_step.win.clamp(0, BITS as i8) as usize };
-                most.by_cell[..=coarsest].iter_mut().for_each(|n| *n += u64::from(facts.points));
+                let coarsest = if is_first { BITS as i8 } else { facts.first_step.win.clamp(0, BITS as i8) };
+                own[..=coarsest as usize].iter_mut().for_each(|n| *n += u64::from(facts.points));
+            }
+            for (c, most_here) in own.into_iter().enumerate() {
+                let about = if head.leaf { most_here.min(cells_of_a_surface(head, c as u8)) } else { most_here };
+                most.by_cell[c] += most_here;
+                most.about[c] += about;
             }
             Ok(finest.is_none_or(|c| head.cube.k() > c.saturating_add(self.g)))
         })?;
@@ -299,9 +305,19 @@ impl Plan {
     }
 }
 
+/// How many cells of exponent `c` a surface in the bounds of a node's points would meet, seen from where it is largest.
+fn cells_of_a_surface(head: &Node, c: u8) -> u64 {
+    let Some(LatticeBox { min, max }) = head.own_bounds else { return 0 };
+    let mut sides: [u64; 3] = std::array::from_fn(|axis| (max.0[axis] >> c) - (min.0[axis] >> c) + 1);
+    sides.sort_unstable();
+    sides[1].saturating_mul(sides[2])
+}
+
 /// Upper limits of the number of matching points.
 pub(crate) struct MostPoints {
     by_cell: [u64; BITS as usize + 1],
+    /// No limits, but about as many as there are, if all match.
+    about: [u64; BITS as usize + 1],
     /// Of all.
     pub all: u64,
 }
@@ -310,6 +326,11 @@ impl MostPoints {
     /// Of those that an answer at this cell exponent has.
     pub fn at_level(&self, cell: u8) -> u64 {
         self.by_cell[usize::from(cell.min(BITS))]
+    }
+
+    /// About how many those are, if all match: leaves hold points of several levels.
+    pub fn about(&self, cell: u8) -> u64 {
+        self.about[usize::from(cell.min(BITS))]
     }
 }
 

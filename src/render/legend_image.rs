@@ -24,12 +24,16 @@ impl Image {
         let mut lines: Vec<(Option<[u8; 4]>, String)> = match &legend.key {
             LegendKey::Recorded => return,
             LegendKey::Entries(entries) => entries.iter().map(|e| (Some(e.color), e.name.clone())).collect(),
+            LegendKey::Ramp { low, high, .. } if low == high => vec![(None, number(*low, 0.0))],
             LegendKey::Ramp { low, high, .. } => {
                 let part = |mark: usize| 1.0 - mark as f64 / (MARKS - 1) as f64;
                 (0..MARKS).map(|mark| (None, number(low + (high - low) * part(mark), high - low))).collect()
             }
         };
         let room = (room as usize).saturating_sub(1);
+        // The panel takes half of the picture's width at most, or what a short word needs.
+        let letters = ((self.width / scale / 2).saturating_sub(3 * MARGIN + SWATCH) / (COLUMNS + 1)).max(12) as usize;
+        lines.iter_mut().for_each(|(_, text)| *text = plain(text, letters));
         if room < 2 {
             return;
         }
@@ -64,6 +68,16 @@ impl Image {
             }
         }
     }
+}
+
+/// A name in letters that there are, shortened in its middle if it has too many: files are told apart by their ends.
+fn plain(name: &str, most: usize) -> String {
+    let name = deunicode::deunicode_with_tofu(name, "?");
+    if name.len() <= most {
+        return name;
+    }
+    let kept = most.saturating_sub(3);
+    format!("{}...{}", &name[..kept.div_ceil(2)], &name[name.len() - kept / 2..])
 }
 
 /// A number with as many digits as its range is worth.
@@ -169,6 +183,31 @@ mod tests {
             [number(-1.25, 9.25), number(1234.5678, 900.0), number(0.00012, 0.001)],
             ["-1.25", "1235", "0.00012"]
         );
+    }
+
+    #[test]
+    fn names_are_written_in_plain_letters_and_fit() {
+        assert_eq!(plain("Straße_Größe_é", 40), "Strasse_Grosse_e");
+        assert!(!plain("日本語", 40).contains('?') && plain("日本語", 40).is_ascii());
+        assert_eq!(plain("station_0123456789_north", 13), "stati...north");
+        let named = |name: &str| Legend {
+            title: "Scan".into(),
+            key: LegendKey::Entries(vec![LegendEntry { number: 1, name: name.into(), color: [1, 200, 0, 255] }]),
+        };
+        let mut image = blank(600, 300);
+        image.draw_legend(&named(&"scan_".repeat(60)));
+        assert_eq!(image.pixel(320, 290), [9, 9, 9, 255], "the right half is the picture's");
+        assert!(count(&image, TEXT) > 200);
+    }
+
+    #[test]
+    fn a_constant_is_one_number() {
+        let key = |low| LegendKey::Ramp { colors: vec![[7, 100, 50, 255]; 256], low, high: 3.0 };
+        let [mut constant, mut ramp] = [blank(300, 200), blank(300, 200)];
+        constant.draw_legend(&Legend { title: "Height".into(), key: key(3.0) });
+        ramp.draw_legend(&Legend { title: "Height".into(), key: key(2.0) });
+        assert!(count(&constant, [7, 100, 50]) > 0);
+        assert!(count(&constant, TEXT) < count(&ramp, TEXT) - 100);
     }
 
     #[test]

@@ -16,6 +16,8 @@ pub struct Description {
     pub points: u64,
     /// How many scans there are.
     pub scans: usize,
+    /// How many of them are hidden.
+    pub scans_hidden: usize,
     /// Nodes of all layers.
     pub nodes: u64,
     /// Levels of the deepest tree.
@@ -203,6 +205,7 @@ pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
     Ok(Description {
         points: info.points,
         scans: snapshot.scans().len(),
+        scans_hidden: snapshot.scans().iter().filter(|s| !s.visible).count(),
         nodes: info.nodes,
         levels: info.levels,
         root_spacing: root.map(spacing),

@@ -26,5 +26,6 @@ mod readers;
 #[cfg(feature = "stream")]
 mod streaming;
 mod support;
+mod systems;
 #[cfg(feature = "viewer")]
 mod window;

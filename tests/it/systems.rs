@@ -1,0 +1,90 @@
+//! Coordinate reference systems that meet: what surely differs is refused, what can't be told is said.
+
+use crate::support::{TinyLas, esker, esker_fails, esker_ok};
+use std::fs;
+use tempfile::TempDir;
+
+struct Place(TempDir);
+
+impl Place {
+    /// Two files of a point each, that say nothing of their CRS.
+    fn new() -> Self {
+        let place = Self(tempfile::tempdir().unwrap());
+        for (name, at) in [("a.las", [100, 200, 3]), ("b.las", [300, 100, 4])] {
+            let mut las = TinyLas::new(1);
+            las.push(at, 7);
+            fs::write(place.path(name), las.bytes()).unwrap();
+        }
+        place
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    /// A store of one file in a CRS; what is told of it.
+    fn store(&self, name: &str, file: &str, crs: &str) -> String {
+        let output = esker(&["ingest", &self.path(name), &self.path(file), "--crs", crs]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    }
+}
+
+const FEET: &str = r#"PROJCS["plane",UNIT["US survey foot",0.304800609601219]]"#;
+const DEGREES: &str = r#"GEOGCS["globe",UNIT["degree",0.0174532925199433]]"#;
+
+#[test]
+fn feet_metres_and_degrees_never_meet_unnoticed() {
+    let place = Place::new();
+    let [s, b] = ["s.esker", "b.las"].map(|name| place.path(name));
+    place.store("s.esker", "a.las", "EPSG:26917");
+    for (crs, unit) in [(FEET, "plane in US survey foot"), (DEGREES, "globe in degree")] {
+        let expected = ["b.las: its CRS is ", unit, "the site's is EPSG:26917 in metre", "--ignore-crs"];
+        esker_fails(&["ingest", &s, &b, "--crs", crs], 1, &expected);
+        place.store("other.esker", "b.las", crs);
+        esker_fails(
+            &["merge", &place.path("all.esker"), &s, &place.path("other.esker")],
+            1,
+            &[unit, "EPSG:26917 in metre"],
+        );
+        fs::remove_file(place.path("other.esker")).unwrap();
+    }
+    assert!(esker_ok(&["info", &s]).contains("scans        1\n"));
+    // In whose name nothing is said of the unit it can't be told.
+    let told = place.store("s.esker", "b.las", r#"LOCAL_CS["here"]"#);
+    assert!(
+        told.contains("can't tell whether its CRS (here) is the site's (EPSG:26917); its coordinates are taken"),
+        "{told}"
+    );
+    place.store("here.esker", "b.las", r#"LOCAL_CS["here"]"#);
+    place.store("there.esker", "a.las", "EPSG:26917");
+    let merged = esker(&["merge", &place.path("all.esker"), &place.path("there.esker"), &place.path("here.esker")]);
+    let told = String::from_utf8_lossy(&merged.stderr);
+    assert!(merged.status.success() && told.contains("here.esker: can't tell whether its CRS (here)"), "{told}");
+}
+
+#[test]
+fn degrees_are_told_and_so_is_what_can_be_none() {
+    let place = Place::new();
+    let told = place.store("near.esker", "a.las", "EPSG:4326");
+    assert!(told.contains("degrees and metres") && told.contains("mix the two units"), "{told}");
+    let mut las = TinyLas::new(1);
+    las.push([33_900_200, 524_800_000, 0], 1);
+    fs::write(place.path("far.las"), las.bytes()).unwrap();
+    let told = place.store("far.esker", "far.las", "EPSG:4326");
+    assert!(told.contains("far.las: its CRS (EPSG:4326) is in degrees, but its coordinates lie between"), "{told}");
+}
+
+#[test]
+fn hidden_scans_are_told_where_they_are_missed() {
+    let place = Place::new();
+    let [s, a, b] = ["s.esker", "a.las", "b.las"].map(|name| place.path(name));
+    esker_ok(&["ingest", &s, &a, &b]);
+    esker_ok(&["hide", &s, "a", "b"]);
+    assert!(esker_ok(&["info", &s]).contains("scans        2 (2 hidden)\n"));
+    let output = esker(&["query", &s, "--count"]);
+    assert_eq!(output.stdout, b"0\n");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("2 of 2 scans are hidden"));
+    let output = esker(&["query", &s, "--scan", "a", "--count"]);
+    assert_eq!((output.stdout, output.stderr), (b"1\n".to_vec(), Vec::new()));
+}

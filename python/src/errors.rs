@@ -118,7 +118,7 @@ fn of_store(error: &StoreError) -> PyErr {
         StoreError::InUse { .. } | StoreError::Busy { .. } => exceptions::InUseError::new_err(message),
         StoreError::Damaged { .. } => exceptions::DamagedError::new_err(message),
         StoreError::Full { .. } => exceptions::DiskFullError::new_err(message),
-        StoreError::ReadOnly { .. } => exceptions::ReadOnlyError::new_err(message),
+        StoreError::ReadOnly { .. } | StoreError::ReadOnlyFolder { .. } => exceptions::ReadOnlyError::new_err(message),
         _ => exceptions::EskerError::new_err(message),
     }
 }
@@ -127,7 +127,7 @@ fn of_query(error: &QueryError) -> PyErr {
     match error {
         QueryError::Store(e) => of_store(e),
         QueryError::Filter(e) => exceptions::FilterError::new_err((e.to_string(), e.at())),
-        QueryError::UnknownAttribute { .. } | QueryError::UnknownScan { .. } => {
+        QueryError::UnknownAttribute { .. } | QueryError::UnknownScan { .. } | QueryError::Coordinate { .. } => {
             exceptions::UnknownNameError::new_err(message(error))
         }
         QueryError::Inconsistent { .. } => exceptions::DamagedError::new_err(message(error)),

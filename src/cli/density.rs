@@ -1,6 +1,6 @@
 //! `esker density`: how many points lie where, and how high, as a raster.
 
-use super::which::Which;
+use super::which::{Which, tell_why_nothing};
 use super::{Outcome, output, values};
 use crate::formats::{Raster, RasterFormat, write_raster};
 use crate::query::Density;
@@ -82,8 +82,11 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let target = target.transpose()?;
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
-    let query = arguments.which.query(arguments.which.region(&snapshot)?, &snapshot)?;
-    let density = query.density(&snapshot, arguments.side)?;
+    let region = arguments.which.region(&snapshot)?;
+    let density = arguments.which.query(region.clone(), &snapshot)?.density(&snapshot, arguments.side)?;
+    if density.counts.is_empty() {
+        tell_why_nothing(&snapshot, &region, &arguments.which.scans)?;
+    }
     if let Some((path, format)) = target {
         if format == Format::Asc && density.counts.is_empty() {
             bail!("no points match, and a raster of no squares is none: nothing was written");

@@ -2,13 +2,13 @@
 
 use super::progress::{Mode, Shown};
 use super::{Outcome, output, values};
-use crate::formats::{parse_columns, read_poses};
+use crate::formats::{InputFormat, parse_columns, read_poses};
 use crate::geometry::Pose;
-use crate::ingest::{IngestOptions, LatticeWish, Report, ScanReport, ingest};
+use crate::ingest::{IngestError, IngestOptions, LatticeWish, Report, ScanReport, ingest};
 use crate::lattice::Lattice;
 use crate::points::Crs;
-use crate::store::Store;
-use anyhow::Context;
+use crate::store::{Store, StoreError};
+use anyhow::{Context, bail};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -109,7 +109,14 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let shown = Shown::new(arguments.progress);
     let result = ingest(&arguments.store, &arguments.inputs, &options, &shown);
     shown.clear();
-    let report = result?;
+    let report = match result {
+        Err(error @ IngestError::Store(StoreError::NotAStore { .. }))
+            if InputFormat::of_path(&arguments.store).is_some() =>
+        {
+            bail!("{error}; the store comes first: esker ingest STORE {} ...", arguments.store.display())
+        }
+        result => result?,
+    };
     tell(&report);
     if arguments.json {
         output::json(&serde_json::to_value(&report).context("the report as JSON")?)?;

@@ -1,7 +1,7 @@
 //! `esker nearest`: the neighbours of points.
 
 use super::query::{Format, format};
-use super::which::{Which, with_attributes};
+use super::which::{Which, tell_why_nothing, with_attributes};
 use super::{Outcome, output, values};
 use crate::export::plan;
 use crate::formats::{CreateOptions, OutputFormat, create, create_standard_output};
@@ -71,13 +71,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let places = places(arguments)?;
     let store = Store::open_with(&arguments.store, Limits::default())?;
     let snapshot = store.snapshot()?;
-    let query =
-        with_attributes(arguments.which.query(arguments.which.region(&snapshot)?, &snapshot)?, &arguments.attributes);
+    let region = arguments.which.region(&snapshot)?;
+    let query = with_attributes(arguments.which.query(region.clone(), &snapshot)?, &arguments.attributes);
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let query = query.with_scans(planned.meeting.needs_scans());
     anyhow::ensure!(k > 0, "--count is 0; it must be 1 or more");
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
+    if found.batch.is_empty() {
+        tell_why_nothing(&snapshot, &region, &arguments.which.scans)?;
+    }
     let statistics = serde_json::to_value(&found.statistics)?;
     let Neighbors { mut batch, distances, ends, .. } = found;
     planned.meeting.apply(&mut batch);

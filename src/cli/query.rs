@@ -1,13 +1,13 @@
 //! `esker query`: points out, by region, filter and detail.
 
-use super::which::{Which, with_attributes};
+use super::which::{Which, tell_why_nothing, with_attributes};
 use super::{Outcome, output, values};
 use crate::export::{self, ExportError, ExportOptions, Exported, PartOf, Target, Written};
 use crate::formats::OutputFormat;
 use crate::geometry::Camera;
 use crate::points::Number;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
-use crate::store::{Limits, Snapshot, Store, WorldBounds};
+use crate::store::{Limits, Snapshot, Store};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
@@ -288,20 +288,8 @@ pub(super) fn read_view(path: &Path) -> anyhow::Result<Camera> {
 
 /// Says what a user may not expect: a region beside the site, points on the faces that a half-open box leaves out.
 fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &Answer) -> anyhow::Result<()> {
-    if answer.region_misses_site {
-        let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-        if let Some(bounds) = bounds {
-            let WorldBounds { min, max } = WorldBounds::new(&snapshot.site().lattice, &bounds);
-            eprintln!(
-                "esker: the region lies outside the site, whose bounds are {},{},{},{},{},{}",
-                min[0], min[1], min[2], max[0], max[1], max[2]
-            );
-        }
-    }
-    let hidden = snapshot.scans().iter().filter(|s| !s.visible).count();
-    if answer.points == 0 && hidden > 0 && arguments.which.scans.is_empty() {
-        let scans = snapshot.scans().len();
-        eprintln!("esker: {hidden} of {scans} scans are hidden; `esker show` shows them, --scan asks for one");
+    if answer.points == 0 || answer.region_misses_site {
+        tell_why_nothing(snapshot, region, &arguments.which.scans)?;
     }
     if arguments.which.place.closed || !matches!(region, Region::Box { .. }) {
         return Ok(());

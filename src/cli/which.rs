@@ -3,8 +3,9 @@
 use super::interrupt::cancelled_by_interrupt;
 use super::region::Where;
 use super::values;
+use crate::geometry::Containment;
 use crate::query::{Filter, Query, Region};
-use crate::store::Snapshot;
+use crate::store::{Snapshot, WorldBounds};
 use clap::Args;
 
 #[derive(Debug, Args)]
@@ -36,6 +37,27 @@ impl Which {
         }
         Ok(query)
     }
+}
+
+/// Says why there may be nothing in an answer: a region beside the site, hidden scans.
+pub(super) fn tell_why_nothing(snapshot: &Snapshot, region: &Region, scans: &[String]) -> anyhow::Result<()> {
+    let lattice = &snapshot.site().lattice;
+    let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
+    if let Some(bounds) = bounds
+        && region.on_lattice(lattice)?.classify(&bounds) == Containment::Outside
+    {
+        let WorldBounds { min, max } = WorldBounds::new(lattice, &bounds);
+        eprintln!(
+            "esker: the region lies outside the site, whose bounds are {},{},{},{},{},{}",
+            min[0], min[1], min[2], max[0], max[1], max[2]
+        );
+    }
+    let hidden = snapshot.scans().iter().filter(|s| !s.visible).count();
+    if hidden > 0 && scans.is_empty() {
+        let all = snapshot.scans().len();
+        eprintln!("esker: {hidden} of {all} scans are hidden; `esker show` shows them, --scan asks for one");
+    }
+    Ok(())
 }
 
 /// Reads a filter; says where a name means a coordinate and could be meant as an attribute's.

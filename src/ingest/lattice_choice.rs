@@ -64,6 +64,10 @@ fn finest(evidence: &[Evidence], notes: &mut Vec<String>) -> [Decimal; 3] {
     let own = evidence.iter().map(|e| match (&e.grid, e.step, e.bounds) {
         (Some(grid), ..) => grid.scale,
         (None, Some(step), _) => [step; 3],
+        // A tenth of a millimetre.
+        (None, None, Some((min, max))) if e.geographic => {
+            [Decimal::new(1, -9), Decimal::new(1, -9), for_extent(max[2] - min[2])]
+        }
         (None, None, Some((min, max))) => [for_extent((0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max)); 3],
         (None, None, None) => [Decimal::new(1, -3); 3],
     });
@@ -162,5 +166,10 @@ mod tests {
             choose(&[Evidence { grid, bounds: None, step: None, geographic: true }], &LatticeWish::default()).unwrap();
         assert_eq!(lattice.quantum_f64(), [1e-7, 1e-7, 0.01]);
         assert_eq!(notes.len(), 1);
+        // Floats of eight digits are a millimetre.
+        let bounds = Some(([11.5, 48.1, 500.0], [11.6, 48.2, 520.0]));
+        let floats = Evidence { grid: None, bounds, step: None, geographic: true };
+        let (lattice, notes) = choose(&[floats], &LatticeWish::default()).unwrap();
+        assert_eq!((lattice.quantum_f64(), notes.len()), ([1e-9, 1e-9, 1e-5], 1));
     }
 }

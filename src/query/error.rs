@@ -41,6 +41,12 @@ pub enum QueryError {
         /// The nearest name that there is.
         nearest: Option<String>,
     },
+    /// A coordinate among the attributes.
+    #[error("{name} is no attribute but a coordinate, and those always come; leave it out")]
+    Coordinate {
+        /// What was asked for.
+        name: String,
+    },
     /// The store has no scan of this name.
     #[error("there is no scan \"{name}\"{}", did_you_mean(.nearest))]
     UnknownScan {

@@ -2,7 +2,7 @@
 
 use super::answer::Statistics;
 use super::near::Near;
-use super::neighbors::{Candidate, Search};
+use super::neighbors::{Candidate, Search, settle};
 use super::plan::Plan;
 use super::task::{by_part, work};
 use super::{Detail, Query, QueryError};
@@ -94,7 +94,9 @@ fn find(plan: &Plan, points: &[[f64; 3]], k: usize, farthest: f64) -> Result<Vec
     let groups = places.chunks(places.len().div_ceil(4 * threads).clamp(1, TOGETHER)).collect();
     let found = plan.each(groups, |group: &[usize]| {
         let mut near = Near::new(plan);
-        group.iter().map(|&place| search(place).run(&mut near)).collect::<Result<Vec<_>, _>>()
+        let mut found = group.iter().map(|&place| search(place).run(&mut near)).collect::<Result<Vec<_>, _>>()?;
+        settle(plan, &mut found, k)?;
+        Ok(found)
     })?;
     let mut all = vec![Vec::new(); points.len()];
     places.into_iter().zip(found.into_iter().flatten()).for_each(|(place, found)| all[place] = found);

@@ -9,13 +9,15 @@ use super::answer::Meter;
 use super::cells::Pick;
 use super::near::{Near, NearBlock, RUN};
 use super::plan::{Plan, Prospect, Scope};
+use super::ties;
 use crate::geometry::Containment;
 use crate::lattice::{BIAS, Decimal, Key, LatticeBox, LatticePoint};
 use crate::store::Node;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
-/// A neighbour; the order is by distance, then by position (the order of the points' keys), then by place in the store.
+/// A neighbour; the order is by distance, then by position (the order of the points' keys), then by place in the store, which
+/// is a layer's own order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Candidate {
     pub square: f64,
@@ -103,15 +105,39 @@ pub(super) struct Search<'a> {
     farthest: f64,
     quantum: [f64; 3],
     phase: [f64; 3],
-    found: BinaryHeap<Candidate>,
+    /// The nearest of each layer: which of equally near points of several layers are the first is told by their records.
+    found: Vec<BinaryHeap<Candidate>>,
     window: Window,
+}
+
+/// Puts equally near points of several layers into the canonical order, in the neighbours of some places; `k` of each stay.
+pub(super) fn settle(plan: &Plan, found: &mut [Vec<Candidate>], k: usize) -> Result<(), QueryError> {
+    if plan.roots.len() < 2 {
+        return Ok(());
+    }
+    let is_one_place = |a: &Candidate, b: &Candidate| a.pick.key == b.pick.key;
+    let runs = found.iter().flat_map(|of_place| of_place.chunk_by(is_one_place)).filter(|run| run.len() > 1);
+    let mut tied: Vec<Pick> = runs.flatten().map(|candidate| candidate.pick).collect();
+    tied.sort_unstable();
+    tied.dedup();
+    ties::settle(plan, &mut tied)?;
+    let mut ranks: Vec<(Pick, usize)> = tied.into_iter().zip(0..).collect();
+    ranks.sort_unstable();
+    let rank = |c: &Candidate| ranks.binary_search_by_key(&c.pick, |r| r.0).map_or(usize::MAX, |i| ranks[i].1);
+    for of_place in found {
+        of_place.chunk_by_mut(is_one_place).filter(|run| run.len() > 1).for_each(|run| run.sort_by_cached_key(rank));
+        of_place.truncate(k);
+        of_place.shrink_to_fit();
+    }
+    Ok(())
 }
 
 impl<'a> Search<'a> {
     pub fn new(plan: &'a Plan, point: [f64; 3], k: usize, farthest: f64) -> Self {
         let (quantum, phase) = (plan.lattice.quantum_f64(), plan.lattice.phase().map(Decimal::to_f64));
         let window = Window { low: [0; 3], high: [u64::MAX; 3] };
-        let mut search = Self { plan, point, k, farthest, quantum, phase, found: BinaryHeap::new(), window };
+        let found = vec![BinaryHeap::new(); plan.roots.len()];
+        let mut search = Self { plan, point, k, farthest, quantum, phase, found, window };
         search.narrow();
         search
     }
@@ -121,7 +147,7 @@ impl<'a> Search<'a> {
         LatticePoint(std::array::from_fn(|axis| self.index(axis, self.point[axis])))
     }
 
-    /// Nearest first.
+    /// Nearest first, up to `k` of each layer; a layer's equally near points in their order.
     pub fn run(mut self, near: &mut Near<'_>) -> Result<Vec<Candidate>, QueryError> {
         let plan = self.plan;
         let mut open: BinaryHeap<Reverse<Waiting>> = BinaryHeap::new();
@@ -156,7 +182,11 @@ impl<'a> Search<'a> {
             }
         }
         Meter::add(&plan.meter.nodes_visited, visited);
-        let mut found = self.found.into_sorted_vec();
+        let mut found: Vec<Candidate> = self.found.into_iter().flatten().collect();
+        found.sort_unstable();
+        if plan.roots.len() < 2 {
+            found.truncate(self.k);
+        }
         // It is kept until all places are done, and there may be many.
         found.shrink_to_fit();
         Ok(found)
@@ -171,6 +201,7 @@ impl<'a> Search<'a> {
 
     /// Looks at the points of a part, the nearest blocks first.
     fn offer_part(&mut self, node: &Node, part: usize, near: &mut Near<'_>) -> Result<(), QueryError> {
+        let layer = self.plan.roots.iter().position(|root| root.layer == node.layer).unwrap_or_default();
         let bounds = near.bounds(node, part)?;
         let meets = |window: &Window, block: &usize| window.meets(&bounds[*block]);
         let mut blocks: Vec<usize> = (0..bounds.len()).filter(|block| meets(&self.window, block)).collect();
@@ -180,15 +211,20 @@ impl<'a> Search<'a> {
             if !outside && meets(&self.window, &block) {
                 let read = near.block(node, part, block)?;
                 let first = node.blocks(part).range(block).start as u32;
-                self.offer_block(&read, |key, i| Pick { key, node: node.ix(), part: part as u32, index: first + i });
+                self.offer_block(&read, layer, |key, i| Pick {
+                    key,
+                    node: node.ix(),
+                    part: part as u32,
+                    index: first + i,
+                });
             }
         }
         Ok(())
     }
 
-    fn offer_block(&mut self, block: &NearBlock, pick: impl Fn(Key, u32) -> Pick) {
+    fn offer_block(&mut self, block: &NearBlock, layer: usize, pick: impl Fn(Key, u32) -> Pick) {
         // What is nearest first, as long as nothing tells what is near.
-        let first = (self.found.len() < self.k)
+        let first = (self.found[layer].len() < self.k)
             .then(|| {
                 let squares = block.runs.iter().map(|bounds| self.about(bounds)).enumerate();
                 squares.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(run, _)| run)
@@ -197,12 +233,12 @@ impl<'a> Search<'a> {
         let rest = (0..block.runs.len()).filter(|run| Some(*run) != first);
         for run in first.into_iter().chain(rest) {
             if self.window.meets(&block.runs[run]) {
-                self.offer_run(block, run, &pick);
+                self.offer_run(block, run, layer, &pick);
             }
         }
     }
 
-    fn offer_run(&mut self, block: &NearBlock, run: usize, pick: &impl Fn(Key, u32) -> Pick) {
+    fn offer_run(&mut self, block: &NearBlock, run: usize, layer: usize, pick: &impl Fn(Key, u32) -> Pick) {
         let lattice = &self.plan.lattice;
         let mut narrower = false;
         for i in block.mask.indices_of_word(run) {
@@ -215,11 +251,12 @@ impl<'a> Search<'a> {
             let square = (dx * dx + dy * dy) + dz * dz;
             // What is as far as the last neighbour may come before it.
             if square <= self.limit() {
-                self.found.push(Candidate { square, pick: pick(Key::of(at), (run * RUN + i) as u32) });
-                if self.found.len() > self.k {
-                    self.found.pop();
+                let found = &mut self.found[layer];
+                found.push(Candidate { square, pick: pick(Key::of(at), (run * RUN + i) as u32) });
+                if found.len() > self.k {
+                    found.pop();
                 }
-                narrower |= self.found.len() == self.k;
+                narrower |= found.len() == self.k;
             }
         }
         if narrower {
@@ -229,10 +266,8 @@ impl<'a> Search<'a> {
 
     /// Nothing beyond can be a neighbour.
     fn limit(&self) -> f64 {
-        match self.found.peek() {
-            Some(last) if self.found.len() >= self.k => last.square,
-            _ => self.farthest,
-        }
+        let full = self.found.iter().filter(|found| found.len() >= self.k);
+        full.filter_map(|found| found.peek()).map(|last| last.square).fold(self.farthest, f64::min)
     }
 
     /// Fits the window to the limit.

@@ -382,6 +382,9 @@ fn columns(
             let mut columns = Vec::new();
             for name in names {
                 let found = attributes_named(name, all);
+                if found.is_empty() && ["x", "y", "z"].iter().any(|axis| name.eq_ignore_ascii_case(axis)) {
+                    return Err(QueryError::Coordinate { name: name.clone() });
+                }
                 if found.is_empty() {
                     let nearest = nearest(name, all.iter().map(|a| a.attribute.name.as_str()));
                     return Err(QueryError::UnknownAttribute { name: name.clone(), nearest });

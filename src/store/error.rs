@@ -133,6 +133,12 @@ pub enum StoreError {
         /// The store.
         path: PathBuf,
     },
+    /// A new store's place can't be written.
+    #[error("{path}: cannot be made there (read-only folder or medium); name a place that can be written")]
+    ReadOnlyFolder {
+        /// The store.
+        path: PathBuf,
+    },
     /// The place can't be written.
     #[error("{path}: cannot be written (read-only file, folder or medium); copy it to a writable place")]
     ReadOnly {

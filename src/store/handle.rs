@@ -80,7 +80,7 @@ impl Store {
         let path = &*followed(path);
         let io = |source: std::io::Error| match source.kind() {
             std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
-                StoreError::ReadOnly { path: path.into() }
+                StoreError::ReadOnlyFolder { path: path.into() }
             }
             std::io::ErrorKind::StorageFull => StoreError::Full { path: path.into() },
             _ => StoreError::Io { path: path.into(), action: "making the store", source },
@@ -247,7 +247,7 @@ impl Store {
         copied.map_err(|e| match e {
             // Only the copy is written.
             StoreError::Full { .. } => StoreError::Full { path: path.into() },
-            StoreError::ReadOnly { .. } => StoreError::ReadOnly { path: path.into() },
+            StoreError::ReadOnly { .. } => StoreError::ReadOnlyFolder { path: path.into() },
             e => e,
         })
     }

@@ -52,6 +52,8 @@ fn regions_are_refused_with_the_place_and_the_reason() {
     fs::write(path("clip.json"), "{\"clip_from_world\":[[1,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}").unwrap();
     refused(&["--frustum", &path("clip.json")], &["clip.json", "clip matrix"]);
 
+    refused(&["--attributes", "Intensity,X"], &["X is no attribute but a coordinate", "leave it out"]);
+
     // Beside the site is no error, but said.
     let beside = esker(&["query", &store, "--count", "--polygon", "POLYGON((0 6000000, 10 6000000, 10 6000010))"]);
     let words = String::from_utf8_lossy(&beside.stderr).into_owned();
@@ -70,6 +72,7 @@ fn names_details_and_policies_are_refused_with_what_there_is() {
     };
     refused(1, &["--where", "Intensty > 5"], &["\"Intensty\"", "\"Intensity\"", "^"]);
     refused(1, &["--where", "Intensity > 'high'"], &["numbers", "^"]);
+    refused(1, &["--where", "scan = site"], &["names of scans are in quotes: scan = 'site'", "^"]);
     refused(1, &["--where", "Intensity between 1 or 2"], &["expected \"and\"", "^"]);
     refused(1, &["--where", "Intensity > nan"], &["nan"]);
     refused(1, &["--attributes", "Intensity,Clasification"], &["\"Clasification\"", "\"Classification\""]);

@@ -1,10 +1,11 @@
 //! The points of thinned answers come coarse to fine, in batches that anybody may stop at.
 
-use crate::support::esker_ok;
-use esker::lattice::Key;
+use crate::support::{Random, TinyLas, esker_ok};
+use esker::lattice::{Key, LatticePoint};
 use esker::octree::wins;
 use esker::query::{Detail, Filter, Query};
 use esker::store::Store;
+use std::collections::HashSet;
 
 /// What each point of an answer wins among its points, in the order in which they come.
 fn wins_in_order(keys: &[Key]) -> Vec<i8> {
@@ -12,6 +13,44 @@ fn wins_in_order(keys: &[Key]) -> Vec<i8> {
     sorted.sort_unstable();
     let wins = wins(&sorted, 48);
     keys.iter().map(|key| wins[sorted.binary_search(key).unwrap()]).collect()
+}
+
+#[test]
+fn places_far_apart_are_all_there_from_the_start() {
+    // The leaves of such a site hold points of many levels.
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut las = TinyLas::new(1);
+    let mut random = Random(5);
+    for place in 0..20_i32 {
+        let corner = [place * 900_000 + 77, (place * 7 % 20) * 900_000, 0];
+        for _ in 0..20_000 {
+            let within = [random.below(1000) as i32, random.below(1000) as i32, random.below(5) as i32];
+            las.push(std::array::from_fn(|axis| corner[axis] + within[axis]), 1);
+        }
+    }
+    std::fs::write(path("t.las"), las.bytes()).unwrap();
+    esker_ok(&["ingest", &path("t.esker"), &path("t.las")]);
+    let snapshot = Store::open(path("t.esker")).unwrap().snapshot().unwrap();
+    for query in [Query::new().detail(Detail::Spacing(0.2)), Query::new().capacity(100_000)] {
+        let mut points: Vec<LatticePoint> = Vec::new();
+        for batch in query.positions_only().batches(&snapshot).unwrap() {
+            points.extend(batch.unwrap().positions.iter());
+        }
+        // Of cells of 80 centimetres and 3 metres nearly all are met by a quarter of the points.
+        for cell in [6, 8] {
+            let cells = |points: &[LatticePoint]| -> HashSet<[u64; 3]> {
+                points.iter().map(|p| p.0.map(|c| c >> cell)).collect()
+            };
+            let (all, early) = (cells(&points).len(), cells(&points[..points.len() / 4]).len());
+            assert!(
+                early * 20 >= all * 17,
+                "{early} of {all} cells by {} of {} points",
+                points.len() / 4,
+                points.len()
+            );
+        }
+    }
 }
 
 #[test]

@@ -76,6 +76,45 @@ fn degrees_are_told_and_so_is_what_can_be_none() {
 }
 
 #[test]
+fn floats_in_degrees_keep_a_tenth_of_a_millimetre() {
+    let place = Place::new();
+    fs::write(place.path("rtk.csv"), "x,y,z\n11.50000012,48.10000034,512.345\n11.60000056,48.20000078,520.5\n")
+        .unwrap();
+    place.store("rtk.esker", "rtk.csv", "EPSG:4326");
+    let out = place.path("out.csv");
+    esker_ok(&["query", &place.path("rtk.esker"), "-o", &out]);
+    let text = fs::read_to_string(out).unwrap();
+    for coordinate in ["11.50000012", "48.10000034", "512.345", "11.60000056", "48.20000078"] {
+        assert!(text.contains(coordinate), "{text}");
+    }
+}
+
+#[test]
+fn a_forgotten_store_is_told() {
+    let place = Place::new();
+    let [a, b] = ["a.las", "b.las"].map(|name| place.path(name));
+    let before = fs::read(&a).unwrap();
+    esker_fails(&["ingest", &a, &b], 1, &["a.las: is not an Esker store", "the store comes first: esker ingest STORE"]);
+    assert_eq!(fs::read(&a).unwrap(), before);
+}
+
+#[test]
+fn values_that_no_field_of_las_holds_are_told() {
+    let place = Place::new();
+    fs::write(place.path("f.csv"), "x,y,z,intensity,code\n1,2,3,0.5,1\n2,3,4,0.25,2\n").unwrap();
+    let s = place.path("f.esker");
+    esker_ok(&["ingest", &s, &place.path("f.csv")]);
+    let told = |name: &str| {
+        let output = esker(&["query", &s, "-o", &place.path(name)]);
+        assert!(output.status.success());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let las = told("f.las");
+    assert!(las.contains("Intensity is f32 here, which LAS's own field can't hold: that is 0"), "{las}");
+    assert!(!las.contains("code") && !told("f.ply").contains("field"));
+}
+
+#[test]
 fn hidden_scans_are_told_where_they_are_missed() {
     let place = Place::new();
     let [s, a, b] = ["s.esker", "a.las", "b.las"].map(|name| place.path(name));
@@ -85,6 +124,10 @@ fn hidden_scans_are_told_where_they_are_missed() {
     let output = esker(&["query", &s, "--count"]);
     assert_eq!(output.stdout, b"0\n");
     assert!(String::from_utf8_lossy(&output.stderr).contains("2 of 2 scans are hidden"));
+    for command in [&["density", &s, "--side", "1"][..], &["nearest", &s, "--at", "1,2,0"]] {
+        let output = esker(command);
+        assert!(String::from_utf8_lossy(&output.stderr).contains("2 of 2 scans are hidden"), "{command:?}");
+    }
     let output = esker(&["query", &s, "--scan", "a", "--count"]);
     assert_eq!((output.stdout, output.stderr), (b"1\n".to_vec(), Vec::new()));
 }

@@ -30,14 +30,17 @@ use std::time::Instant;
 /// Works without a window and without a graphics card (on software Vulkan). Points are round splats as large as the
 /// spacing at their place, shaded by eye-dome lighting.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  esker render site.esker -o site.png\n  \
+#[command(
+    allow_negative_numbers = true,
+    after_help = "Examples:\n  esker render site.esker -o site.png\n  \
                   esker render site.esker --view door.json --size 1920x1080 --color height -o door.png\n  \
                   esker render site.esker --color class --where 'Classification <> 7' --shape paraboloid -o classes.png\n  \
                   esker render site.esker --clip 500,200,-inf,520,240,inf --background ffffff -o strip.png\n  \
                   esker render site.esker --path walk.json --stats walk.csv -o walk.png     (walk-0000.png, ...)\n\n\
                   A view file: {\"eye\":[x,y,z],\"target\":[x,y,z],\"up\":[0,0,1],\"projection\":\"perspective\",\
                   \"fov_y_deg\":60,\"size\":[1280,720]}; \"orthographic\" has \"height\" instead of \"fov_y_deg\".\n\
-                  A walk: [VIEW, VIEW, ...], a frame each, or {\"keyframes\":[VIEW, ...],\"frames\":N}.")]
+                  A walk: [VIEW, VIEW, ...], a frame each, or {\"keyframes\":[VIEW, ...],\"frames\":N}."
+)]
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
@@ -112,6 +115,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let query = query(arguments, &snapshot)?.cancel(&cancel);
     let coloring = coloring(arguments, &snapshot, &query)?;
     let mut session = session(arguments, &snapshot, query, coloring, starting)?;
+    let mut drawn = 0;
     for ((frame, camera), path) in cameras.iter().enumerate().zip(&outputs) {
         let mut file = OutputFile::create(path, arguments.force)?;
         let (mut image, cost) = session.frame(camera)?;
@@ -123,6 +127,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         table.line(&cost.line(frame))?;
         let bound = cost.error_px.map_or_else(String::new, |px| format!(", screen-space error {px:.2} pixels"));
         let points = output::counted(cost.points, "point");
+        drawn += cost.points;
         let told = format!("{}: {points}{bound}, drawn by {}", path.display(), session.adapter_name());
         if table.is_standard_output() {
             eprintln!("esker: {told}");
@@ -131,6 +136,10 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         }
     }
     table.finish()?;
+    if drawn == 0 {
+        eprintln!("esker: nothing was drawn: no point matches, or none is in view");
+        super::which::tell_why_nothing(&snapshot, &Region::Everything, &arguments.scans)?;
+    }
     Ok(Outcome::Done)
 }
 
@@ -154,7 +163,12 @@ fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Cam
         (None, None, Some(name)) => {
             let bookmarks = snapshot.bookmarks()?;
             let found = bookmarks.iter().find(|(n, _)| n == name);
-            let (_, json) = found.with_context(|| format!("the store has no bookmark '{name}'"))?;
+            let (_, json) = found.with_context(|| {
+                let names: Vec<String> =
+                    bookmarks.iter().map(|(name, _)| format!("'{}'", output::clean(name))).collect();
+                let those = if names.is_empty() { "none at all".to_owned() } else { names.join(", ") };
+                format!("the store has no bookmark '{name}'; there are: {those}")
+            })?;
             vec![serde_json::from_str(json).with_context(|| format!("bookmark '{name}' is no view"))?]
         }
         (None, None, None) => {

@@ -92,6 +92,10 @@ pub(super) fn bind(text: &str, expression: &Expression, names: &Names) -> Result
             let literal = Literal::Text(b.name.clone());
             bind(text, &Expression::Compare(a.clone(), *relation, literal, b.at), names)
         }
+        Expression::Pair(a, _, b) if is_scan(a) && !is_scan(b) => {
+            let message = format!("names of scans are in quotes: scan = '{}'", b.name);
+            Err(FilterError::new(message, text, b.at))
+        }
         Expression::Pair(a, relation, b) => {
             if let Some(name) = [a, b].into_iter().find(|name| axis(name, names).is_some()) {
                 let attribute = attributes_named(&name.name, names.attributes);

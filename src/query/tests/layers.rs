@@ -112,17 +112,25 @@ proptest! {
     #[test]
     fn neighbours_and_densities_are_those_of_one_layer(
         layers in layered(), params in params(), asked in asked(), near in prop::array::uniform3(-3.0_f64..20.0),
-        k in 1_usize..6, side in prop::sample::select(vec![0.3, 1.0, 7.5]),
+        k in 1_usize..6, side in prop::sample::select(vec![0.3, 1.0, 7.5]), at in any::<prop::sample::Index>(),
+        on_a_point in any::<bool>(),
     ) {
         let (test, one) = (store(&layers, params, None), store(&in_one(&layers), params, None));
         let corner = test.points.first().map_or([0.0; 3], |p| test.lattice.world_from_lattice(p.at()));
-        let place = [std::array::from_fn(|axis| corner[axis] + near[axis])];
-        let of = |test: &TestStore| {
-            let found = asked.query(test).nearest(&test.snapshot, &place, k, None).unwrap();
-            let density = asked.query(test).density(&test.snapshot, side).unwrap();
-            let at: Vec<_> = found.batch.positions.iter().collect();
-            (at, found.distances, found.ends, density.first, density.size, density.counts)
+        // On a point there are others as near, of other layers.
+        let place = match test.points.len() {
+            0 => [near],
+            n if on_a_point => [test.lattice.world_from_lattice(test.points[at.index(n)].at())],
+            _ => [std::array::from_fn(|axis| corner[axis] + near[axis])],
         };
-        prop_assert_eq!(of(&test), of(&one));
+        let of = |test: &TestStore, is_asked: bool| {
+            let query = if is_asked { asked.query(test) } else { Query::new().with_scans(true) };
+            let query = query.attributes(["class", "height", "code"]);
+            let found = query.nearest(&test.snapshot, &place, k, None).unwrap();
+            let density = query.density(&test.snapshot, side).unwrap();
+            (points(&found.batch), found.distances, found.ends, density.first, density.size, density.counts)
+        };
+        prop_assert_eq!(of(&test, true), of(&one, true));
+        prop_assert_eq!(of(&test, false), of(&one, false));
     }
 }

@@ -153,6 +153,13 @@ pub(super) fn merged(
             if field.renamed {
                 notes.push(format!("{} ({}) is extra byte {:?}", attribute.name, attribute.ty.word(), field.name));
             }
+            if dimensions.iter().any(|d| d.name == attribute.name) {
+                notes.push(format!(
+                    "{} is {} here, which LAS's own field can't hold: that is 0, and the values are in an extra byte",
+                    attribute.name,
+                    attribute.ty.word()
+                ));
+            }
             extras.push((column, field));
         }
     }

@@ -7,10 +7,11 @@ use crate::formats::OutputFormat;
 use crate::geometry::Camera;
 use crate::points::Number;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
-use crate::store::{Limits, Snapshot, Store};
+use crate::store::{Holders, Limits, Snapshot, Store};
 use anyhow::{Context, bail};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Takes points out of a store: exactly those asked for, at the detail asked for, with the error stated.
 ///
@@ -176,6 +177,16 @@ impl From<Format> for OutputFormat {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
+    let mut holders = None;
+    let outcome = answer(arguments, &mut holders);
+    // Of an answer that was given up some parts are still decoded, which keeps the store open and its log beside it.
+    if let Some(holders) = holders {
+        holders.wait(Duration::from_secs(2));
+    }
+    outcome
+}
+
+fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Result<Outcome> {
     if arguments.split_by.is_some() {
         super::limits::open_many_files();
     }
@@ -186,6 +197,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         arguments.output.as_deref().map(|path| Ok::<_, anyhow::Error>((path, format(path, arguments.format)?)));
     let target = target.transpose()?;
     let store = Store::open_with(&arguments.store, Limits::once())?;
+    *holders = Some(store.holders());
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
     let query = query(arguments, region.clone(), &snapshot)?;

@@ -48,7 +48,28 @@ pub struct Store {
     newest: Arc<Mutex<Weak<Inner>>>,
 }
 
+/// Whoever holds a store open: handles, snapshots, threads that had begun to decode when an answer was given up.
+#[cfg(feature = "cli")]
+pub(crate) struct Holders(Weak<Place>);
+
+#[cfg(feature = "cli")]
+impl Holders {
+    /// Waits until there is nobody, or so long.
+    pub fn wait(self, longest: std::time::Duration) {
+        let begun = std::time::Instant::now();
+        while self.0.strong_count() > 0 && begun.elapsed() < longest {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+    }
+}
+
 impl Store {
+    /// Whoever holds this store open.
+    #[cfg(feature = "cli")]
+    pub(crate) fn holders(&self) -> Holders {
+        Holders(Arc::downgrade(&self.place))
+    }
+
     /// Is this file what remains of a store whose making was cut off? It holds nothing, and [`Store::create`] takes it
     /// over.
     pub fn is_unfinished(path: impl AsRef<Path>) -> bool {

@@ -58,6 +58,8 @@ pub use error::StoreError;
 pub use files::{SPILL_SUFFIX, spill_path};
 pub(crate) use files::{check_folder, followed};
 pub use flip::{Flip, NodeChange};
+#[cfg(feature = "cli")]
+pub(crate) use handle::Holders;
 pub use handle::{SiteOptions, Store};
 pub use index::{NodeIndex, NodeIx};
 pub use info::{Info, info};

@@ -2,7 +2,7 @@
 
 use super::answer::{Answer, Meter, Stage};
 use super::batches::{Batches, Prepared};
-use super::capacity;
+use super::capacity::{self, Sequence};
 use super::plan::{Plan, Prospect, Scope};
 use super::seen;
 use super::stream::{Source, Stream};
@@ -197,42 +197,24 @@ impl Query {
                 let chosen = seen::view(&plan, self, camera, *max_error_px, cell, counting)?;
                 listed(&mut plan, chosen)
             }
-            (None, cell, capacity) => {
-                let sequence = match capacity {
-                    None => None,
-                    Some(capacity) if cell.is_none() && plan.most_points(None)?.all <= capacity => None,
-                    Some(capacity) => {
-                        plan.reads(capacity);
-                        let limited = || capacity::limited(&plan, cell, capacity);
-                        Some(plan.meter.time(Stage::Selecting, limited)?)
-                    }
-                };
-                let sequence = match (sequence, cell) {
-                    (None, Some(cell)) => {
-                        plan.reads(plan.most_points(Some(cell))?.at_level(cell));
-                        Some(plan.meter.time(Stage::Selecting, || capacity::level(&plan, cell, !counting))?)
-                    }
-                    (sequence, _) => sequence,
-                };
-                match sequence.filter(|sequence| !sequence.is_everything) {
-                    None => {
-                        let all = everything(&mut plan, &self.region, counting)?;
-                        listed(&mut plan, all)
-                    }
-                    Some(mut sequence) => {
-                        let plan = Arc::new(plan);
-                        let answer = answer(sequence.points.unwrap_or(0), sequence.error_bound);
-                        let source: Source<Task> = if counting && sequence.points.is_some() {
-                            Box::new(std::iter::empty())
-                        } else {
-                            let held = sequence.held(&plan)?;
-                            let pieces = sequence.tasks(plan.clone()).map(|task| Ok(Task::Piece(task?)));
-                            Box::new(held.into_iter().map(Ok).chain(pieces))
-                        };
-                        return Ok(Prepared { plan, source, answer });
-                    }
+            (None, cell, capacity) => match thinned(&mut plan, cell, capacity, counting)? {
+                None => {
+                    let all = everything(&mut plan, &self.region, counting)?;
+                    listed(&mut plan, all)
                 }
-            }
+                Some(mut sequence) => {
+                    let plan = Arc::new(plan);
+                    let answer = answer(sequence.points.unwrap_or(0), sequence.error_bound);
+                    let source: Source<Task> = if counting && sequence.points.is_some() {
+                        Box::new(std::iter::empty())
+                    } else {
+                        let held = sequence.held(&plan)?;
+                        let pieces = sequence.tasks(plan.clone()).map(|task| Ok(Task::Piece(task?)));
+                        Box::new(held.into_iter().map(Ok).chain(pieces))
+                    };
+                    return Ok(Prepared { plan, source, answer });
+                }
+            },
         };
         Ok(Prepared { plan: Arc::new(plan), source, answer })
     }
@@ -240,6 +222,30 @@ impl Query {
 
 fn answer(points: u64, error_bound: Option<f64>) -> Answer {
     Answer { points, error_bound, ..Answer::default() }
+}
+
+/// The points of a level, under a capacity, or both; `None` if those are all that match.
+fn thinned(
+    plan: &mut Plan,
+    cell: Option<u8>,
+    capacity: Option<u64>,
+    counting: bool,
+) -> Result<Option<Sequence>, QueryError> {
+    let sequence = match (cell, capacity) {
+        (None, None) => return Ok(None),
+        (Some(cell), None) => {
+            plan.reads(plan.most_points(Some(cell))?.at_level(cell));
+            plan.meter.time(Stage::Selecting, || capacity::level(plan, cell, !counting))?
+        }
+        (cell, Some(capacity)) => {
+            if cell.is_none() && plan.most_points(None)?.all <= capacity {
+                return Ok(None);
+            }
+            plan.reads(capacity);
+            plan.meter.time(Stage::Selecting, || capacity::limited(plan, cell, capacity))?
+        }
+    };
+    Ok(Some(sequence).filter(|sequence| !sequence.is_everything))
 }
 
 /// Every matching point.

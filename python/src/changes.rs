@@ -39,6 +39,7 @@ pub struct Wishes {
     columns: Option<String>,
     recursive: bool,
     strict: bool,
+    keep_going: bool,
     wait: bool,
 }
 
@@ -71,6 +72,7 @@ impl Wishes {
             columns: self.columns.as_deref().map(parse_columns).transpose().map_err(bad_ingest)?,
             recursive: self.recursive,
             strict: self.strict,
+            keep_going: self.keep_going,
             wait: self.wait,
             ..IngestOptions::default()
         })

@@ -124,6 +124,7 @@ def test_keywords_of_a_change_are_checked_by_name(tmp_path, scans):
         "phase": ([1, 2], ValueError),
         "poses": ([[1, 2, 3]], TypeError),
         "strict": ("no", TypeError),
+        "keep_going": ("yes", TypeError),
         "progress": (5, TypeError),
     }
     for word, (value, error) in wrong.items():
@@ -144,6 +145,18 @@ def test_keywords_of_a_change_are_checked_by_name(tmp_path, scans):
     esker.ingest(tmp_path / "t.esker", tmp_path / "rows.txt", columns="-,x,z,y")
     with esker.open(tmp_path / "t.esker") as store:
         assert sorted(store.query()["z"]) == [2.0, 6.0]
+
+
+def test_what_cannot_be_read_is_left_out(tmp_path, scans):
+    (tmp_path / "letter.las").write_text("to my aunt")
+    inputs = [tmp_path / "letter.las", scans[0]]
+    with pytest.raises(esker.EskerError, match="letter.las"):
+        esker.ingest(tmp_path / "s.esker", inputs)
+    report = esker.ingest(tmp_path / "s.esker", inputs, keep_going=True)
+    assert len(report["scans"]) == 1
+    ((path, reason),) = [left_out.values() for left_out in report["unreadable"]]
+    assert path == str(inputs[0])
+    assert "LASF" in reason
 
 
 def test_a_second_writer_is_refused(tmp_path, large, scans):

@@ -24,6 +24,7 @@ use std::path::PathBuf;
                   esker ingest site.esker setups.e57 survey.ptx\n  \
                   esker ingest site.esker local.las --pose station.txt\n  \
                   esker ingest site.esker points.csv --columns x,y,z,-,intensity\n  \
+                  esker ingest site.esker tiles/ --keep-going\n  \
                   esker ingest site.esker tile.las --crs EPSG:25832 --json")]
 pub(super) struct Arguments {
     /// The store, a file that usually ends in .esker.
@@ -68,6 +69,9 @@ pub(super) struct Arguments {
     /// Look for point files in folders below, too.
     #[arg(long)]
     recursive: bool,
+    /// Leave out inputs that can't be read and store the others; they are named at the end, with exit code 3.
+    #[arg(long)]
+    keep_going: bool,
     /// Wait while another process is writing to the store, instead of failing.
     #[arg(long)]
     wait: bool,
@@ -103,6 +107,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         columns: arguments.columns.map(|c| c.0),
         recursive: arguments.recursive,
         strict: arguments.strict,
+        keep_going: arguments.keep_going,
         wait: arguments.wait,
         ..IngestOptions::default()
     };
@@ -115,6 +120,9 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         {
             bail!("{error}; the store comes first: esker ingest STORE {} ...", arguments.store.display())
         }
+        Err(error @ IngestError::Format(_)) if !arguments.keep_going && are_several(&arguments.inputs) => {
+            bail!("{}; --keep-going stores the others", output::one_line(&error.into()))
+        }
         result => result?,
     };
     tell(&report);
@@ -124,11 +132,19 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         print(&report)?;
     }
     let rejected = report.scans.iter().any(|s| s.rejected > 0);
-    Ok(if arguments.strict && rejected { Outcome::Rejected } else { Outcome::Done })
+    Ok(if arguments.strict && rejected || !report.unreadable.is_empty() { Outcome::Rejected } else { Outcome::Done })
+}
+
+/// Could the inputs be more than one file?
+fn are_several(inputs: &[PathBuf]) -> bool {
+    inputs.len() > 1 || inputs.iter().any(|input| input.is_dir())
 }
 
 /// Notes and warnings, on stderr.
 pub(super) fn tell(report: &Report) {
+    for left_out in &report.unreadable {
+        eprintln!("esker: left out: {}", output::clean(&left_out.reason));
+    }
     for note in &report.notes {
         eprintln!("esker: {}", output::clean(note));
     }

@@ -86,6 +86,20 @@ pub enum FormatError {
 }
 
 impl FormatError {
+    /// The file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Io { path, .. }
+            | Self::Malformed { path, .. }
+            | Self::MalformedLine { path, .. }
+            | Self::Unsupported { path, .. }
+            | Self::Decoder { path, .. }
+            | Self::AlreadyThere { path }
+            | Self::NoFolder { path, .. }
+            | Self::Unwritable { path, .. } => path,
+        }
+    }
+
     /// [`FormatError::Unsupported`]; `remedy` is empty or says what to do.
     pub(super) fn unsupported(path: &Path, what: impl Into<String>, remedy: &str) -> Self {
         let remedy = if remedy.is_empty() { String::new() } else { format!("; {remedy}") };

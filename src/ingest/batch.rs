@@ -35,9 +35,26 @@ pub(super) struct Batch<'a> {
     /// Are the new scans shown?
     pub visible: bool,
     pub strict: bool,
+    pub keep_going: bool,
+}
+
+impl Batch<'_> {
+    /// The errors of the sources: the first one, or all of them if the others are to be stored.
+    fn refuse(&self, errors: impl Iterator<Item = Option<IngestError>>) -> Result<(), IngestError> {
+        let mut errors: Vec<_> = errors.enumerate().filter_map(|(i, error)| Some((i, error?))).collect();
+        match errors.len() {
+            0 => Ok(()),
+            _ if self.keep_going => Err(IngestError::Unreadable(errors)),
+            _ => Err(errors.swap_remove(0).1),
+        }
+    }
 }
 
 /// Reads the sources and commits them.
+///
+/// # Errors
+///
+/// [`IngestError`]; [`IngestError::Unreadable`] if some can't be read and the batch is to go on without them.
 pub(super) fn add(
     context: &Context<'_>,
     store: &Store,
@@ -51,7 +68,7 @@ pub(super) fn add(
     let site = snapshot.site().clone();
     let lattice = &site.lattice;
     let sources = batch.sources;
-    let plans = plans(sources, lattice)?;
+    let plans = plans(batch, lattice)?;
 
     let records: u64 = sources.iter().map(|s| s.reader.info().records).sum();
     let payload: u64 = sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.payload as u64).sum();
@@ -65,8 +82,9 @@ pub(super) fn add(
     report.temp_bytes_predicted = report.temp_bytes_predicted.max(room.budget.temp_bytes);
     let (read, buckets) = {
         let partition = room.partition(lattice);
-        let (threads, strict, progress) = (context.threads, batch.strict, context.progress);
-        let reading = Reading { plans: &plans, sources, threads, strict, progress };
+        let Batch { strict, keep_going, .. } = *batch;
+        let (threads, progress) = (context.threads, context.progress);
+        let reading = Reading { plans: &plans, sources, threads, strict, keep_going, progress };
         context.progress.stage(Stage::Read, records);
         let read = stages.time(Stage::Read, records, || {
             if room.wide {
@@ -78,7 +96,7 @@ pub(super) fn add(
         (read, partition.finish())
     };
     report.temp_bytes = report.temp_bytes.max(room.temp_bytes());
-    refuse_if_all_are_outside(sources, &read.tallies, lattice)?;
+    refuse_if_all_are_outside(batch, &read.tallies, lattice)?;
 
     let scans = scan_rows(writer, batch, &read, &plans)?;
     let new_points = read.tallies.iter().map(|t| t.stored).sum();
@@ -102,16 +120,16 @@ pub(super) fn add(
     Ok(())
 }
 
-fn plans(sources: &[Source], lattice: &Lattice) -> Result<Vec<RowPlan>, IngestError> {
-    let plan = |(slot, source): (u32, &Source)| {
+fn plans(batch: &Batch<'_>, lattice: &Lattice) -> Result<Vec<RowPlan>, IngestError> {
+    let (mut plans, mut refused) = (Vec::new(), Vec::new());
+    for (slot, source) in (0..).zip(batch.sources) {
         let info = source.reader.info();
-        let map = match &info.grid {
-            Some(grid) => Some(SourceMap::new(grid, lattice).ok_or_else(|| IngestError::Grid(info.path.clone()))?),
-            None => None,
-        };
-        Ok(RowPlan::new(slot, info.layout.clone(), map))
-    };
-    (0..).zip(sources).map(plan).collect()
+        let map = info.grid.as_ref().map(|grid| SourceMap::new(grid, lattice));
+        refused.push(map.as_ref().is_some_and(Option::is_none).then(|| IngestError::Grid(info.path.clone())));
+        plans.push(RowPlan::new(slot, info.layout.clone(), map.flatten()));
+    }
+    batch.refuse(refused.into_iter())?;
+    Ok(plans)
 }
 
 struct NewScans<'a> {
@@ -229,15 +247,18 @@ fn scan_rows(
     Ok(scans)
 }
 
-fn refuse_if_all_are_outside(sources: &[Source], tallies: &[ScanTally], lattice: &Lattice) -> Result<(), IngestError> {
-    for (source, tally) in sources.iter().zip(tallies) {
+/// Refuses sources of which no point is in the lattice.
+fn refuse_if_all_are_outside(batch: &Batch<'_>, tallies: &[ScanTally], lattice: &Lattice) -> Result<(), IngestError> {
+    let refused = |(source, tally): (&Source, &ScanTally)| {
         let out = tally.rejected.out_of_range;
-        if out > 0 && tally.stored == 0 && out == tally.read {
-            let path = source.reader.info().path.clone();
-            return Err(IngestError::OutOfRange { path, points: out, range: range_of(lattice) });
-        }
-    }
-    Ok(())
+        let path = source.reader.info().path.clone();
+        (out > 0 && tally.stored == 0 && out == tally.read).then(|| IngestError::OutOfRange {
+            path,
+            points: out,
+            range: range_of(lattice),
+        })
+    };
+    batch.refuse(batch.sources.iter().zip(tallies).map(refused))
 }
 
 /// The range of the lattice in words.

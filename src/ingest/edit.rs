@@ -107,6 +107,8 @@ pub fn replace(
     progress: &dyn Progress,
 ) -> Result<Report, IngestError> {
     let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
+    // What takes a scan's place is not left out.
+    let options = &IngestOptions { keep_going: false, ..options.clone() };
     Context::run(path, &resources, progress, |context| {
         let begun = Instant::now();
         let mut stages = Stages::default();
@@ -121,7 +123,7 @@ pub fn replace(
             (Some(input), _) => sources::open(&[input.to_owned()], options, &others, progress)?,
             (None, Some(old)) => {
                 let again = sources::open_again(old, options, progress)?;
-                sources::Sources { sources: vec![again], skipped: Vec::new() }
+                sources::Sources { sources: vec![again], ..sources::Sources::default() }
             }
             (None, None) => return Err(IngestError::Internal("a scan without a row".into())),
         };
@@ -136,10 +138,11 @@ pub fn replace(
         let mut report = Report { skipped: opened.skipped, ..Report::default() };
         let (crs, notes) = sources::agree_on_crs(site_crs, &sources, options.ignore_crs)?;
         report.notes.extend(notes);
-        let measured = measure(context, &sources, &mut stages)?;
+        let measured = measure::<Result<Vec<_>, _>>(context, &sources, &mut stages)?;
         let (sources, measured) = (&sources[..], &measured[..]);
         let visible = old.iter().all(|scan| scan.visible);
-        let batch = Batch { sources, measured, crs, replaced: &replaced, visible, strict: options.strict };
+        let strict = options.strict;
+        let batch = Batch { sources, measured, crs, replaced: &replaced, visible, strict, keep_going: false };
         add(context, &store, &mut writer, &batch, &mut stages, &mut report)?;
         fold_if_many(context, &store, &mut writer)?;
         report.seconds = begun.elapsed().as_secs_f64();

@@ -3,7 +3,7 @@
 use crate::formats::FormatError;
 use crate::lattice::LatticeError;
 use crate::store::StoreError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 /// Why an ingest stopped.
@@ -188,10 +188,25 @@ pub enum IngestError {
     /// Threads could not be started.
     #[error("starting the worker threads failed: {0}")]
     Threads(String),
+    /// Sources that can't be read, by their place in a batch: those of a run that goes on without them.
+    #[error("{} of the inputs can't be read", .0.len())]
+    #[doc(hidden)]
+    Unreadable(Vec<(usize, IngestError)>),
     /// A rule that the code relies on does not hold: a bug.
     #[error("internal error: {0}; please report it")]
     Internal(String),
     /// Ctrl-C.
     #[error("interrupted; the store is at its last commit, and the same command resumes")]
     Interrupted,
+}
+
+impl IngestError {
+    /// The source that is at fault, where it is one.
+    pub(super) fn source_path(&self) -> Option<&Path> {
+        match self {
+            Self::Format(error) => Some(error.path()),
+            Self::Grid(path) | Self::OutOfRange { path, .. } | Self::Truncated { path, .. } => Some(path),
+            _ => None,
+        }
+    }
 }

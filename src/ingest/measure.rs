@@ -12,12 +12,13 @@ use rayon::prelude::*;
 
 pub(super) type WorldBounds = ([f64; 3], [f64; 3]);
 
-/// World bounds of the sources, as their headers say, or by reading the positions where the header says nothing.
-pub(super) fn measure(
+/// World bounds of the sources, as their headers say, or by reading the positions where the header says nothing. What they
+/// are collected in says whether all are measured though one can't be.
+pub(super) fn measure<C: FromIterator<Result<Option<WorldBounds>, IngestError>>>(
     context: &Context<'_>,
     sources: &[Source],
     stages: &mut Stages,
-) -> Result<Vec<Option<WorldBounds>>, IngestError> {
+) -> C {
     let lacking = |s: &Source| {
         let info = s.reader.info();
         info.bounds_hint.is_none() && info.layout.position == PositionKind::World

@@ -73,6 +73,8 @@ pub struct IngestOptions {
     pub recursive: bool,
     /// Refuse truncated files.
     pub strict: bool,
+    /// Leave out inputs that can't be read, and store the others; the [`Report`] names them.
+    pub keep_going: bool,
     /// Wait for a store that another process is writing to, instead of failing.
     pub wait: bool,
     /// The sampling grid of a new store, `2^g` cells a side. Format version 1 has 7; others are for tests.
@@ -96,6 +98,7 @@ impl Default for IngestOptions {
             columns: None,
             recursive: false,
             strict: false,
+            keep_going: false,
             wait: false,
             g: FORMAT_G,
             leaf_capacity: FORMAT_LEAF_CAPACITY,

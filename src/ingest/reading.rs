@@ -9,6 +9,7 @@ use super::progress::Progress;
 use super::rows::RowKey;
 use super::sources::Source;
 use crate::formats::Piece;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -19,6 +20,8 @@ pub(super) struct Reading<'a> {
     pub sources: &'a [Source],
     pub threads: usize,
     pub strict: bool,
+    /// Are the others read though one can't be?
+    pub keep_going: bool,
     pub progress: &'a dyn Progress,
 }
 
@@ -60,6 +63,7 @@ impl Reading<'_> {
         let next = AtomicUsize::new(0);
         let failed = AtomicBool::new(false);
         let first_error = Mutex::new(None);
+        let unreadable = Mutex::new(BTreeMap::new());
         // Pieces of a source come one after the other, so a thread has one sorter at a time.
         let work = || {
             let mut current: Option<(usize, Sorter<'_, '_>)> = None;
@@ -79,6 +83,8 @@ impl Reading<'_> {
                         let hash = content_hash(path, &|| self.progress.cancelled())?;
                         *lock(&contents[*i]) = Some(hash.ok_or(IngestError::Interrupted)?);
                     }
+                    // What has been read of it is of no use any more.
+                    Task::Piece(i, _) if self.keep_going && lock(&unreadable).contains_key(i) => {}
                     Task::Piece(i, piece) => {
                         if current.as_ref().is_none_or(|(at, _)| at != i) {
                             finish(current.take())?;
@@ -86,8 +92,13 @@ impl Reading<'_> {
                         let plan = &self.plans[*i];
                         let (_, sorter) = current.get_or_insert_with(|| (*i, partition.sorter(plan)));
                         let hash = hashes[*i].as_ref();
-                        let truncated = self.piece::<K>(sorter, &self.sources[*i], *piece, hash, budget.open_bytes)?;
-                        lock(&tallies[*i]).rejected.truncated += truncated;
+                        match self.piece::<K>(sorter, &self.sources[*i], *piece, hash, budget.open_bytes) {
+                            Ok(truncated) => lock(&tallies[*i]).rejected.truncated += truncated,
+                            Err(error) if self.keep_going && error.source_path().is_some() => {
+                                lock(&unreadable).entry(*i).or_insert(error);
+                            }
+                            Err(error) => return Err(error),
+                        }
                     }
                 }
             }
@@ -105,6 +116,10 @@ impl Reading<'_> {
         });
         if let Some(error) = first_error.into_inner().unwrap_or_else(PoisonError::into_inner) {
             return Err(error);
+        }
+        let unreadable = unreadable.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if !unreadable.is_empty() {
+            return Err(IngestError::Unreadable(unreadable.into_iter().collect()));
         }
         let mut read = Read { tallies: Vec::new(), contents: Vec::new() };
         for (tally, source) in tallies.into_iter().zip(self.sources) {

@@ -11,6 +11,8 @@ pub struct Report {
     pub scans: Vec<ScanReport>,
     /// The inputs that were not, and why.
     pub skipped: Vec<Skipped>,
+    /// The inputs that could not be read and were left out ([`IngestOptions::keep_going`](super::IngestOptions)).
+    pub unreadable: Vec<Skipped>,
     /// Points added.
     pub points: u64,
     /// Wall time.

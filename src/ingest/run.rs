@@ -7,14 +7,13 @@ use super::lattice_choice::{Evidence, choose};
 use super::layers::fold_if_many;
 use super::measure::{WorldBounds, measure};
 use super::progress::Progress;
-use super::report::{Report, Stages};
+use super::report::{Report, Skipped, Stages};
 use super::rows::RowKey;
 use super::sources::{self, Source};
 use super::{IngestError, IngestOptions};
 use crate::lattice::{Decimal, Lattice};
 use crate::points::Crs;
 use crate::store::{SiteOptions, Store, StoreError, Writer, check_folder};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -22,7 +21,8 @@ use std::time::Instant;
 ///
 /// Sources that the store has already are skipped. All others become scans: those that fit the memory together in one
 /// commit, in the order given. If anything fails, the store has the scans that were committed until then, and giving the
-/// same inputs again goes on from there.
+/// same inputs again goes on from there. With [`IngestOptions::keep_going`] inputs that can't be read are left out, and only
+/// if nothing else is there the first one's error is that of the whole.
 ///
 /// # Errors
 ///
@@ -67,21 +67,26 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
         }
         None => (Vec::new(), None),
     };
-    let sources::Sources { sources, skipped } = sources::open(inputs, options, &stored, context.progress)?;
-    let mut report = Report { skipped, ..Report::default() };
-    if sources.is_empty() {
+    let opened = sources::open(inputs, options, &stored, context.progress)?;
+    let mut report = Report { skipped: opened.skipped.clone(), ..Report::default() };
+    let (crs, notes) = sources::agree_on_crs(site_crs, &opened.sources, options.ignore_crs)?;
+    let mut rest = Rest::measured(context, opened, options.keep_going, &mut stages)?;
+    if rest.sources.is_empty() {
+        // What is skipped is in the store if there was one.
+        if (open.is_none() || report.skipped.is_empty()) && !rest.unreadable.is_empty() {
+            return Err(rest.unreadable.swap_remove(0).1);
+        }
+        report.unreadable = left_out(&rest.unreadable);
         report.seconds = started.elapsed().as_secs_f64();
         return Ok(report);
     }
-    let (crs, notes) = sources::agree_on_crs(site_crs, &sources, options.ignore_crs)?;
     report.notes.extend(notes);
-    let measured = measure(context, &sources, &mut stages)?;
 
     let created = open.is_none();
     let (store, mut writer) = match open.take() {
         Some(open) => open,
         None => {
-            let (lattice, notes) = choose(&evidence(&sources, &measured), &options.lattice)?;
+            let (lattice, notes) = choose(&evidence(&rest.sources, &rest.measured), &options.lattice)?;
             report.notes.extend(notes);
             let site = SiteOptions { lattice, g: options.g, leaf_capacity: options.leaf_capacity, crs: crs.clone() };
             match Store::create_with_writer(context.path, site) {
@@ -103,25 +108,43 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
             writer.leftovers().spill_files
         ));
     }
-    for range in batches(&sources, context.memory) {
+    while !rest.sources.is_empty() {
+        let range = 0..first_batch(&rest.sources, context.memory);
         let batch = Batch {
-            sources: &sources[range.clone()],
-            measured: &measured[range],
+            sources: &rest.sources[range.clone()],
+            measured: &rest.measured[range.clone()],
             crs: crs.clone(),
             replaced: &[],
             visible: true,
             strict: options.strict,
+            keep_going: options.keep_going,
         };
         let added = add(context, &store, &mut writer, &batch, &mut stages, &mut report);
-        if added.is_err() && created && report.scans.is_empty() {
+        let failure = match added {
+            Ok(()) => {
+                rest.drop_first(range.len());
+                fold_if_many(context, &store, &mut writer)?;
+                continue;
+            }
+            // It is read once more without them.
+            Err(IngestError::Unreadable(of_batch)) => {
+                rest.leave_out(of_batch);
+                let any = !report.scans.is_empty() || !created && !report.skipped.is_empty();
+                if any || !rest.sources.is_empty() {
+                    continue;
+                }
+                rest.unreadable.swap_remove(0).1
+            }
+            Err(error) => error,
+        };
+        if created && report.scans.is_empty() {
             // Nothing was there before and nothing was added: leave no empty store behind.
             drop(store);
             writer.remove_store();
-            return Err(added.err().unwrap_or(IngestError::Interrupted));
         }
-        added?;
-        fold_if_many(context, &store, &mut writer)?;
+        return Err(failure);
     }
+    report.unreadable = left_out(&rest.unreadable);
     report.seconds = started.elapsed().as_secs_f64();
     report.points_per_second = if report.seconds > 0.0 { report.points as f64 / report.seconds } else { 0.0 };
     report.peak_memory_bytes = peak_memory();
@@ -135,28 +158,88 @@ pub(super) fn opened(context: &Context<'_>, store: Store) -> Result<(Store, Writ
     Ok((store, writer))
 }
 
-/// Runs of sources whose rows fit the memory together; a source that doesn't fit is alone.
-fn batches(sources: &[Source], memory: u64) -> Vec<Range<usize>> {
-    let bytes = |source: &Source| {
-        let info = source.reader.info();
-        info.records.saturating_mul((info.layout.payload + <u64 as RowKey>::BYTES) as u64)
-    };
-    let mut batches: Vec<Range<usize>> = Vec::new();
-    let mut filled = 0_u64;
-    for (i, source) in sources.iter().enumerate() {
-        let more = bytes(source);
-        match batches.last_mut() {
-            Some(batch) if filled.saturating_add(more) <= memory / 2 => {
-                batch.end = i + 1;
-                filled += more;
-            }
-            _ => {
-                batches.push(i..i + 1);
-                filled = more;
+/// What is still to be read.
+struct Rest {
+    sources: Vec<Source>,
+    /// Of each source.
+    measured: Vec<Option<WorldBounds>>,
+    /// What was left out.
+    unreadable: Vec<(PathBuf, IngestError)>,
+}
+
+impl Rest {
+    /// Of opened sources. One whose bounds can't be found out is an error, or is left out.
+    fn measured(
+        context: &Context<'_>,
+        opened: sources::Sources,
+        keep_going: bool,
+        stages: &mut Stages,
+    ) -> Result<Self, IngestError> {
+        let sources::Sources { sources, unreadable, .. } = opened;
+        if !keep_going {
+            let measured = measure::<Result<_, _>>(context, &sources, stages)?;
+            return Ok(Self { sources, measured, unreadable });
+        }
+        let mut rest = Self { sources: Vec::new(), measured: Vec::new(), unreadable };
+        let all: Vec<_> = measure(context, &sources, stages);
+        for (source, bounds) in sources.into_iter().zip(all) {
+            match bounds {
+                Ok(bounds) => {
+                    rest.sources.push(source);
+                    rest.measured.push(bounds);
+                }
+                Err(error) if error.source_path().is_some() => {
+                    rest.unreadable.push((source.reader.info().path.clone(), error));
+                }
+                Err(error) => return Err(error),
             }
         }
+        Ok(rest)
     }
-    batches
+
+    fn drop_first(&mut self, sources: usize) {
+        self.sources.drain(..sources);
+        self.measured.drain(..sources);
+    }
+
+    /// Leaves out sources by their places, which ascend.
+    fn leave_out(&mut self, places: Vec<(usize, IngestError)>) {
+        for (place, error) in places.into_iter().rev() {
+            self.measured.remove(place);
+            let source = self.sources.remove(place);
+            self.unreadable.push((source.reader.info().path.clone(), error));
+        }
+    }
+}
+
+/// Inputs that were left out, by their paths.
+fn left_out(unreadable: &[(PathBuf, IngestError)]) -> Vec<Skipped> {
+    let mut all: Vec<_> = unreadable
+        .iter()
+        .map(|(path, error)| Skipped { path: path.display().to_string(), reason: in_full(error) })
+        .collect();
+    all.sort_by(|a, b| a.path.cmp(&b.path));
+    all
+}
+
+/// An error with its causes.
+fn in_full(error: &dyn std::error::Error) -> String {
+    match error.source() {
+        Some(cause) => format!("{error}: {}", in_full(cause)),
+        None => error.to_string(),
+    }
+}
+
+/// How many of the first sources have rows that fit the memory together; one that doesn't fit is alone.
+fn first_batch(sources: &[Source], memory: u64) -> usize {
+    let mut filled = 0_u64;
+    let fits = |source: &&Source| {
+        let info = source.reader.info();
+        let bytes = info.records.saturating_mul((info.layout.payload + <u64 as RowKey>::BYTES) as u64);
+        filled = filled.saturating_add(bytes);
+        filled <= memory / 2
+    };
+    sources.iter().take_while(fits).count().max(1)
 }
 
 fn refuse_another_lattice(options: &IngestOptions, stored: &Lattice) -> Result<(), IngestError> {

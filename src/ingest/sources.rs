@@ -10,7 +10,7 @@ use crate::geometry::Pose;
 use crate::points::Crs;
 use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// More points than this are announced by no file but a damaged one; counts of a scan have to fit an `i64`.
 const MOST_POINTS: u64 = 1 << 60;
@@ -65,6 +65,8 @@ impl Source {
 pub(super) struct Sources {
     pub sources: Vec<Source>,
     pub skipped: Vec<Skipped>,
+    /// Files that are left out.
+    pub unreadable: Vec<(PathBuf, IngestError)>,
 }
 
 /// Opens all inputs. Those that the store has already, or that are given twice, are skipped with a word.
@@ -88,30 +90,12 @@ pub(super) fn open(
         return Err(IngestError::NoInput(hint.into()));
     }
     let poses = poses(&listed.files, options)?;
-    let mut opened = Vec::new();
+    let (mut opened, mut unreadable) = (Vec::new(), Vec::new());
     for (path, pose) in listed.files.into_iter().zip(poses) {
-        let how = ReadOptions { pose, columns: options.columns.clone(), ..ReadOptions::default() };
-        let readers = formats::open_all(&path, &how)?;
-        let bytes = std::fs::metadata(&path).map(|m| m.len()).map_err(|source| formats::FormatError::Io {
-            path: path.clone(),
-            action: "reading the size",
-            source,
-        })?;
-        let several = readers.len() > 1;
-        for reader in readers {
-            let info = reader.info();
-            if info.records.saturating_add(info.missing) > MOST_POINTS {
-                let found = info.records.saturating_add(info.missing).to_string();
-                let expected = "a header with a count of points that can be".to_owned();
-                return Err(formats::FormatError::Malformed { path, offset: 0, expected, found }.into());
-            }
-            if options.strict && info.missing > 0 {
-                return Err(IngestError::Truncated { path, missing: info.missing });
-            }
-            let crs = options.crs.clone().or_else(|| info.crs.clone()).filter(|c| !c.is_empty());
-            let warnings = info.warnings.clone();
-            let number = several.then_some(info.index.saturating_add(1));
-            opened.push(Source { reader, name: String::new(), number, bytes, content: None, crs, warnings });
+        match open_file(&path, pose, options) {
+            Ok(of_file) => opened.extend(of_file),
+            Err(error) if options.keep_going => unreadable.push((path, error)),
+            Err(error) => return Err(error),
         }
     }
 
@@ -158,7 +142,36 @@ pub(super) fn open(
         };
         sources.push(source);
     }
-    Ok(Sources { sources, skipped })
+    Ok(Sources { sources, skipped, unreadable })
+}
+
+/// The scans of a file.
+fn open_file(path: &Path, pose: Pose, options: &IngestOptions) -> Result<Vec<Source>, IngestError> {
+    let how = ReadOptions { pose, columns: options.columns.clone(), ..ReadOptions::default() };
+    let readers = formats::open_all(path, &how)?;
+    let bytes = std::fs::metadata(path).map(|m| m.len()).map_err(|source| formats::FormatError::Io {
+        path: path.to_owned(),
+        action: "reading the size",
+        source,
+    })?;
+    let several = readers.len() > 1;
+    let mut sources = Vec::new();
+    for reader in readers {
+        let info = reader.info();
+        if info.records.saturating_add(info.missing) > MOST_POINTS {
+            let found = info.records.saturating_add(info.missing).to_string();
+            let expected = "a header with a count of points that can be".to_owned();
+            return Err(formats::FormatError::Malformed { path: path.to_owned(), offset: 0, expected, found }.into());
+        }
+        if options.strict && info.missing > 0 {
+            return Err(IngestError::Truncated { path: path.to_owned(), missing: info.missing });
+        }
+        let crs = options.crs.clone().or_else(|| info.crs.clone()).filter(|c| !c.is_empty());
+        let warnings = info.warnings.clone();
+        let number = several.then_some(info.index.saturating_add(1));
+        sources.push(Source { reader, name: String::new(), number, bytes, content: None, crs, warnings });
+    }
+    Ok(sources)
 }
 
 /// Opens the source of a stored scan again: of its file, the one scan that it was. Where no pose is given, it keeps its own.

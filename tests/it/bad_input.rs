@@ -79,6 +79,79 @@ fn inputs_that_are_no_point_files_are_named() {
     place.nothing_there("s.esker");
 }
 
+/// A LAZ file whose first chunk says that it is longer than the file.
+fn with_wrong_chunk(mut laz: Vec<u8>) -> Vec<u8> {
+    let number = |at: usize| u32::from_le_bytes(laz[at..at + 4].try_into().unwrap()) as usize;
+    let record_bytes = u16::from_le_bytes([laz[105], laz[106]]) as usize;
+    // Before the first chunk is the place of the table of chunks; the chunk begins with a whole record, its count and the
+    // lengths of its layers.
+    let lengths = number(96) + 8 + record_bytes + 4;
+    laz[lengths..lengths + 4].copy_from_slice(&[0xff; 4]);
+    laz
+}
+
+#[test]
+fn inputs_that_cannot_be_read_are_left_out_where_that_is_asked_for() {
+    let place = Place::new();
+    // Fails when it is opened, when its bounds are measured, when it is read.
+    let letter = place.write("1_letter.las", b"this is no point cloud at all, it is a letter to my aunt");
+    let table = place.write("2_table.csv", b"x,y,z\n1,2,3\n4,5,6\nseven,8,9\n");
+    let good = [place.las("3_a.las", 30_000), place.path("5_b.laz"), place.las("7_c.las", 20_000)];
+    esker_ok(&["generate", "spheres", "--points", "40000", "-o", &good[1]]);
+    let chunk = place.write("4_chunk.laz", &with_wrong_chunk(fs::read(&good[1]).unwrap()));
+    let laz = place.path("0_whole.laz");
+    esker_ok(&["generate", "terrain", "--points", "10000", "-o", &laz]);
+    let other = place.write("6_chunk.laz", &with_wrong_chunk(fs::read(&laz).unwrap()));
+    let all = [&letter, &table, &good[0], &chunk, &good[1], &other, &good[2]];
+
+    let expected = place.path("expected.esker");
+    esker_ok(&["ingest", &expected, &good[0], &good[1], &good[2], "--quantum", "0.001"]);
+    let digest = |store: &str| esker_ok(&["digest", store]);
+    for memory in ["1GiB", "3MiB"] {
+        let store = place.path("s.esker");
+        let mut arguments = vec!["ingest", &store, "--quantum", "0.001", "--memory", memory];
+        arguments.extend(all.map(String::as_str));
+        // Without the option nothing that is damaged is passed over, and the option is named.
+        esker_fails(&arguments, 1, &["--keep-going"]);
+        place.nothing_there("s.esker");
+        arguments.push("--keep-going");
+        let output = esker(&arguments);
+        let words = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(3), "{words}");
+        let left_out: Vec<_> = words.lines().filter(|line| line.contains("left out")).collect();
+        assert_eq!(left_out.len(), 4, "{words}");
+        for (line, of) in left_out.iter().zip([&letter, &table, &chunk, &other]) {
+            assert!(line.starts_with(&format!("esker: left out: {of}: ")), "{line}");
+        }
+        assert_eq!(digest(&store), digest(&expected), "--memory {memory}");
+        // Again: what is there is skipped, what can't be read still can't.
+        arguments.push("--json");
+        let again = esker(&arguments);
+        assert_eq!(again.status.code(), Some(3));
+        let report: serde_json::Value = serde_json::from_slice(&again.stdout).unwrap();
+        let count = |key: &str| report[key].as_array().unwrap().len();
+        assert_eq!((count("scans"), count("skipped"), count("unreadable")), (0, 3, 4));
+        esker_ok(&["verify", &store, "--deep"]);
+        fs::remove_file(&store).unwrap();
+    }
+
+    // Nothing else: the first one's error, and no store.
+    for alone in [&letter, &table, &chunk] {
+        let name = Path::new(alone).file_name().unwrap().to_str().unwrap();
+        esker_fails(&["ingest", &place.path("s.esker"), alone, "--keep-going"], 1, &[name]);
+        place.nothing_there("s.esker");
+    }
+    // What is cut is damaged under --strict alone.
+    let whole = fs::read(&good[0]).unwrap();
+    let cut = place.write("cut.las", &whole[..whole.len() / 2]);
+    let store = place.path("cut.esker");
+    let output = esker(&["ingest", &store, &good[2], &cut, "--strict", "--keep-going"]);
+    assert_eq!(output.status.code(), Some(3));
+    assert_eq!(esker_ok(&["query", &store, "--count"]).trim(), "20000");
+    esker_ok(&["ingest", &store, &cut, "--keep-going"]);
+    assert!(esker_ok(&["query", &store, "--count"]).trim().parse::<u32>().unwrap() > 30_000);
+}
+
 #[test]
 fn a_wrong_ending_does_not_matter() {
     let place = Place::new();

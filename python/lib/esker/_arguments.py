@@ -302,6 +302,7 @@ def changes(
     columns=None,
     recursive=False,
     strict=False,
+    keep_going=False,
     wait=False,
 ):
     """All keywords of a change."""
@@ -326,6 +327,7 @@ def changes(
         "columns": None if columns is None else ",".join(names(columns, "columns")),
         "recursive": flag(recursive, "recursive"),
         "strict": flag(strict, "strict"),
+        "keep_going": flag(keep_going, "keep_going"),
         "wait": flag(wait, "wait"),
     }
 

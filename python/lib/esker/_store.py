@@ -80,6 +80,7 @@ class IngestKeywords(ChangeKeywords, total=False):
     columns: Sequence[str]
     recursive: bool
     strict: bool
+    keep_going: bool
 
 
 class Reader:
@@ -583,8 +584,9 @@ def ingest(
     ``name``, ``poses``, ``columns``
         Of a single scan; a 4 x 4 matrix for each input file; names of the columns of text files, ``"-"`` for one that is
         not read.
-    ``recursive``, ``strict``
-        Look into folders below; refuse truncated files.
+    ``recursive``, ``strict``, ``keep_going``
+        Look into folders below; refuse truncated files; leave out inputs that can't be read, which the report then names
+        as ``"unreadable"``, and store the others.
     ``progress``
         Called with the stage (``"reading"``, ``"building"``, ...), the points done and the points of the stage, some ten
         times a second, and once at the end. What it raises stops the ingest, and is raised again. If all was committed by

@@ -150,8 +150,15 @@ fn an_added_scan_reads_and_writes_the_nodes_that_receive_points() {
             let mut writer = context.writer(&store)?;
             let held = store.snapshot()?;
             let sources = sources::open(std::slice::from_ref(&case.patch), &options(), held.scans(), &())?.sources;
-            let batch =
-                Batch { sources: &sources, measured: &[None], crs: None, replaced: &[], visible: true, strict: false };
+            let batch = Batch {
+                sources: &sources,
+                measured: &[None],
+                crs: None,
+                replaced: &[],
+                visible: true,
+                strict: false,
+                keep_going: false,
+            };
             let mut report = Report::default();
             add(context, &store, &mut writer, &batch, &mut Stages::default(), &mut report)?;
             assert!(store.snapshot()?.nodes().root(1)?.is_none(), "seed {seed}: it became a layer");

@@ -230,6 +230,10 @@ struct DeepPixel {
     @builtin(frag_depth) depth: f32,
 }
 
+// How far behind its point a shadow lies, in its own radii: surfaces seen at up to 76 degrees from their normal lie before
+// the shadows of their own points, such as the ground under a camera that looks down a little.
+const SHADOW_BEHIND: f32 = 4.0;
+
 // Splats with a relief of their own: the paraboloid, and the shadow behind any.
 @fragment
 fn fragment_deep(splat: Splat) -> DeepPixel {
@@ -247,6 +251,6 @@ fn fragment_deep(splat: Splat) -> DeepPixel {
     if (!(away_px <= shadow_radius_px && frame.shadow_px > 0.0)) {
         discard;
     }
-    let depth = depth_of(splat.z + shadow_radius_px / splat.px_per_unit);
+    let depth = depth_of(splat.z + SHADOW_BEHIND * shadow_radius_px / splat.px_per_unit);
     return DeepPixel(unpack4x8unorm(splat.color & 0xff000000u), splat.id, depth);
 }

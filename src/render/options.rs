@@ -117,8 +117,9 @@ pub struct RenderOptions {
     pub edl: Option<Edl>,
     /// Haze; `None`: the air is clear.
     pub fog: Option<Fog>,
-    /// Point shadows: each point has a black disc behind it that is so many pixels wider all round, as far behind as it
-    /// is wide (Lenertz 2014, 2.5.1). So surfaces stay as they are, and what stands before another is outlined. 0: none.
+    /// Point shadows: each point has a black disc behind it that is so many pixels wider all round, four of its radii
+    /// behind (after Lenertz 2014, 2.5.1). So surfaces stay as they are up to 76 degrees from their normal, and what stands
+    /// before another is outlined. 0: none.
     pub shadow_px: f64,
     /// What is drawn: the points inside any of the boxes to keep, if there are any, and in none of those to cut out. At
     /// most [`MAX_CLIPS`].

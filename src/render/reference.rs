@@ -100,6 +100,9 @@ fn draw_points(scene: &Scene, frame: &Frame, options: &RenderOptions) -> Canvas 
     canvas
 }
 
+/// As in `points.wgsl`.
+const SHADOW_BEHIND: f64 = 4.0;
+
 impl Canvas {
     fn splat(&mut self, splat: &Splat, frame: &Frame, options: &RenderOptions) {
         let shadow_radius_px = splat.radius_px + options.shadow_px;
@@ -116,7 +119,7 @@ impl Canvas {
                     let bent = options.shape == Shape::Paraboloid;
                     (if bent { splat.radius_px * part * part } else { 0.0 }, [red, green, blue, half_px])
                 } else if away_px <= shadow_radius_px && options.shadow_px > 0.0 {
-                    (shadow_radius_px, [0, 0, 0, half_px])
+                    (SHADOW_BEHIND * shadow_radius_px, [0, 0, 0, half_px])
                 } else {
                     continue;
                 };

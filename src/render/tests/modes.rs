@@ -102,7 +102,7 @@ fn of_two_paraboloids_each_has_its_half() {
 #[test]
 fn shadows_outline_what_stands_before_something_else_and_nothing_more() {
     let color = [200, 200, 200, 255];
-    let square = |half: i32, y: f64| {
+    let square = |half: i32, y: f64| -> Vec<([f64; 3], [u8; 4])> {
         let axis = move || (-half * 10..=half * 10).map(|i| f64::from(i) / 10.0);
         axis().flat_map(move |x| axis().map(move |z| ([x, y, z], color))).collect()
     };
@@ -115,6 +115,10 @@ fn shadows_outline_what_stands_before_something_else_and_nothing_more() {
     assert!((1000.0..1700.0).contains(&outline), "{outline}");
     let plain = scene(0.001, &[(0.1, square(5, 7.0))]);
     assert_eq!(part_of(&plain, &camera, &options, BLACK), 0.0);
+    // The ground, seen at 70 degrees from its normal.
+    let (sin, cos) = 70_f64.to_radians().sin_cos();
+    let tilted = square(9, 0.0).into_iter().map(|([x, _, z], color)| ([x, 30.0 + z * sin, z * cos], color)).collect();
+    assert_eq!(part_of(&scene(0.001, &[(0.1, tilted)]), &camera, &options, BLACK), 0.0);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use super::which::{Which, tell_why_nothing};
 use super::{Outcome, output, values};
 use crate::formats::{Raster, RasterFormat, write_raster};
+use crate::points::Crs;
 use crate::query::Density;
 use crate::store::{Limits, Store};
 use anyhow::{Context, bail};
@@ -99,10 +100,11 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             }
         };
         let Density { side, first, size, .. } = density;
-        write_raster(path, format, &Raster { side, first, size, bands: &bands }, arguments.force)?;
+        let wkt = snapshot.site().crs.as_ref().and_then(|crs| crs.wkt.as_deref());
+        write_raster(path, format, &Raster { side, first, size, bands: &bands, wkt }, arguments.force)?;
     }
     let to_stdout = target.is_some_and(|(path, _)| path == std::path::Path::new("-"));
-    report(arguments, &density, to_stdout)?;
+    report(arguments, &density, snapshot.site().crs.as_ref(), to_stdout)?;
     Ok(Outcome::Done)
 }
 
@@ -117,7 +119,7 @@ fn band(density: &Density, value: Value) -> Vec<f64> {
     }
 }
 
-fn report(arguments: &Arguments, density: &Density, to_stdout: bool) -> anyhow::Result<()> {
+fn report(arguments: &Arguments, density: &Density, crs: Option<&Crs>, to_stdout: bool) -> anyhow::Result<()> {
     let points: u64 = density.counts.iter().sum();
     let full = density.counts.iter().filter(|n| **n > 0).count() as u64;
     let most = density.counts.iter().max().copied().unwrap_or(0);
@@ -139,7 +141,8 @@ fn report(arguments: &Arguments, density: &Density, to_stdout: bool) -> anyhow::
         output::line(format_args!("points       {}", output::grouped(points)))?;
         output::line(format_args!("squares      {across} x {up}, {} of them with points", output::grouped(full)))?;
         output::line(format_args!("fullest      {}", output::counted(most, "point")))?;
-        output::line(format_args!("density      {mean:.4} points per square unit, where there are any"))?;
+        let unit = crs.and_then(Crs::unit_name).unwrap_or("unit");
+        output::line(format_args!("density      {mean:.4} points per square {unit}, where there are any"))?;
     }
     Ok(())
 }

@@ -59,6 +59,9 @@ fn print(snapshot: &Snapshot, info: &Description) -> std::io::Result<()> {
         info.bytes_per_point
     ))?;
     output::line(format_args!("generation   {}", info.generation))?;
+    if !info.bookmarks.is_empty() {
+        output::line(format_args!("bookmarks    {}", output::clean(&info.bookmarks.join(", "))))?;
+    }
     if info.in_use {
         output::line("in use       yes: don't copy the file now")?;
     }

@@ -76,7 +76,7 @@ impl Plan {
         let start = Instant::now();
         let site = snapshot.site();
         query.region.check_coordinates(site.crs.as_ref(), bounds_in_plan(snapshot))?;
-        let scans = matching_scans(query, snapshot)?;
+        let scans = Some(asked_scans(query, snapshot)?).filter(|scans| scans.len() < snapshot.scans().len());
         let region = query.region.on_lattice(&site.lattice)?;
         let bind = |filter: &Filter| {
             let met = Kinds::of(snapshot, &contributing(snapshot, scans.as_deref(), &region));
@@ -344,8 +344,8 @@ fn bounds_in_plan(snapshot: &Snapshot) -> Option<([f64; 2], [f64; 2])> {
     Some((plan(bounds.min), plan(bounds.max)))
 }
 
-/// The scans that are asked for by name, or all visible ones; `None` if that is all.
-fn matching_scans(query: &Query, snapshot: &Snapshot) -> Result<Option<Vec<ScanId>>, QueryError> {
+/// The scans that are asked for by name, or all visible ones, ascending.
+pub(super) fn asked_scans(query: &Query, snapshot: &Snapshot) -> Result<Vec<ScanId>, QueryError> {
     let all = snapshot.scans();
     let mut scans: Vec<ScanId> = match &query.scans {
         None => all.iter().filter(|s| s.visible).map(|s| s.id).collect(),
@@ -363,7 +363,7 @@ fn matching_scans(query: &Query, snapshot: &Snapshot) -> Result<Option<Vec<ScanI
     };
     scans.sort_unstable();
     scans.dedup();
-    Ok((scans.len() < all.len()).then_some(scans))
+    Ok(scans)
 }
 
 /// The attributes to return, in canonical order. Of several of one name those that a scan has whose points are asked for.

@@ -1,7 +1,10 @@
 //! What is asked for.
 
-use super::{Cancel, Detail, Filter, Policy, Region};
+use super::plan::asked_scans;
+use super::{Cancel, Detail, Filter, Policy, QueryError, Region};
 use crate::geometry::Camera;
+use crate::store::Snapshot;
+use crate::store::model::ScanId;
 
 /// Which attributes an answer has.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -84,6 +87,15 @@ impl Query {
     pub fn scans<S: Into<String>>(mut self, scans: impl IntoIterator<Item = S>) -> Self {
         self.scans = Some(scans.into_iter().map(Into::into).collect());
         self
+    }
+
+    /// The numbers of the scans whose points are asked for, ascending: those named, or all visible ones.
+    ///
+    /// # Errors
+    ///
+    /// [`QueryError::UnknownScan`] if the store has no such scan.
+    pub fn asked_scans(&self, snapshot: &Snapshot) -> Result<Vec<ScanId>, QueryError> {
+        asked_scans(self, snapshot)
     }
 
     /// How fine.

@@ -42,6 +42,8 @@ pub struct Description {
     pub bytes_encoded: u64,
     /// Bytes of the file by points.
     pub bytes_per_point: f64,
+    /// Names of the views that are kept in it.
+    pub bookmarks: Vec<String>,
     /// Counts committed changes.
     pub generation: u64,
     /// Is a writer at work, or is there a log that is not yet in the file?
@@ -223,6 +225,7 @@ pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
         bytes_total: info.total_bytes,
         bytes_encoded: info.chunk_bytes,
         bytes_per_point: if info.points == 0 { 0.0 } else { info.total_bytes as f64 / info.points as f64 },
+        bookmarks: snapshot.bookmarks()?.into_iter().map(|(name, _)| name).collect(),
         generation: site.generation,
         in_use: info.in_use,
     })

@@ -3,6 +3,7 @@
 use crate::support::{Random, TinyLas, esker, esker_fails, esker_ok};
 use esker::ingest::{IngestOptions, LatticeWish, ingest};
 use esker::lattice::LatticePoint;
+use esker::query::Query;
 use esker::store::Store;
 use std::fs;
 use std::time::{Duration, Instant};
@@ -38,6 +39,14 @@ fn hidden_scans_are_left_out_unless_they_are_named() {
     assert_eq!(count(&store, &["--scan", "site_2"]), one);
     assert!(esker_ok(&["scans", &store]).contains("site_2  (hidden)"));
     assert_eq!(esker_ok(&["digest", &store]), before, "hiding touches no point");
+    // What a picture's legend lists.
+    let snapshot = Store::open(&store).unwrap().snapshot().unwrap();
+    let asked = |query: Query| query.asked_scans(&snapshot).unwrap();
+    let id = |name: &str| snapshot.scans().iter().find(|s| s.name == name).unwrap().id;
+    assert_eq!(asked(Query::new().scans(["site_2"])), [id("site_2")]);
+    assert!(!asked(Query::new()).contains(&id("site_2")));
+    assert_eq!(asked(Query::new()).len(), snapshot.scans().len() - 1);
+    drop(snapshot);
     assert!(esker_ok(&["hide", &store, "site_2"]).contains("nothing to do"));
     esker_ok(&["replace", &store, "site_2"]);
     assert!(esker_ok(&["hide", &store, "site_2"]).contains("nothing to do"), "what takes its place is hidden, too");

@@ -139,6 +139,18 @@ fn neighbours_and_densities_come_out_of_the_shell() {
     let southwest = text.lines().last().unwrap().split(' ').next().unwrap();
     assert_eq!(southwest.parse::<f64>().unwrap(), squares.get(&[-4, -4]).map_or(0.0, |s| s.0));
     esker_fails(&["density", &store, "--side", "2", "-o", &grid], 1, &["--force"]);
+    // Beside a grid lies its CRS, if the site has one.
+    assert!(!fs::exists(path("density.prj")).unwrap());
+    let (cloud, utm) = (path("utm.xyz"), path("utm.esker"));
+    fs::write(&cloud, "500000 5000000 1\n500001 5000000 2\n").unwrap();
+    let wkt = r#"PROJCS["UTM 32",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["Transverse_Mercator"],UNIT["metre",1]]"#;
+    esker_ok(&["ingest", &utm, &cloud, "--crs", wkt]);
+    let words = esker_ok(&["density", &utm, "--side", "2", "-o", &path("utm.asc")]);
+    assert!(words.contains("points per square metre"), "{words}");
+    assert_eq!(fs::read_to_string(path("utm.prj")).unwrap(), format!("{wkt}\n"));
+    fs::remove_file(path("utm.asc")).unwrap();
+    esker_fails(&["density", &utm, "--side", "2", "-o", &path("utm.asc")], 1, &["utm.prj", "--force"]);
+    assert!(!fs::exists(path("utm.asc")).unwrap());
     esker_fails(&["density", &store, "--side", "0"], 2, &["positive"]);
     esker_fails(&["density", &store, "--side", "2", "-o", &path("a.tif")], 1, &["'tif'", ".asc"]);
     esker_fails(&["density", &store, "--side", "1e-7"], 1, &["2^28"]);

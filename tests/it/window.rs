@@ -161,7 +161,8 @@ fn a_script_uses_every_part_of_the_window() {
     assert!(renewed["complete"] == true && renewed["points"].as_u64() > Some(0), "{renewed}");
     let out = esker_ok(&["query", &text("clip.laz").replace("clip.laz", "site.esker"), "--count"]);
     assert!(out.trim().parse::<u64>().unwrap() > 100_000);
-    // The bookmark is a view for `render`, too.
+    // The bookmark is a view for `render`, too, and `info` names it.
+    assert!(esker_ok(&["info", &text("site.esker")]).contains("\nbookmarks    door\n"));
     esker_ok(&["render", &text("site.esker"), "--bookmark", "door", "--size", "64x48", "-o", &text("door.png")]);
 
     let picture = pixels(&path("site-001.png"));

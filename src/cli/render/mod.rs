@@ -231,13 +231,12 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
         bail!("--range is for colours by intensity, height or time, not by {}", mode.word());
     }
     let scans = || snapshot.scans().iter();
+    let asked = query.asked_scans(snapshot)?;
     let options = ColorOptions {
         mode,
-        depths: ColorDepths::of_scans(
-            scans().filter(|s| s.visible || !arguments.scans.is_empty()).map(|s| (s.id, s.color_depth)),
-        ),
+        depths: ColorDepths::of_scans(scans().filter(|s| asked.contains(&s.id)).map(|s| (s.id, s.color_depth))),
         range: arguments.range,
-        scan_names: scans().map(|s| (s.id, s.name.clone())).collect(),
+        scan_names: scans().filter(|s| asked.contains(&s.id)).map(|s| (s.id, s.name.clone())).collect(),
         levels: if mode == ColorMode::Level && arguments.look.legend { Some(info(snapshot)?.levels) } else { None },
     };
     let uncolored = mode == ColorMode::Rgb && options.depths.by_scan.values().any(Option::is_none);
@@ -247,8 +246,8 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
         if uncolored && has("Intensity") {
             names.push("Intensity".into());
         }
-        let asked = with_attributes(query.clone(), names).with_scans(true).detail(Detail::Level(0));
-        asked.run(snapshot, |batch| {
+        let coarse = with_attributes(query.clone(), names).with_scans(true).detail(Detail::Level(0));
+        coarse.run(snapshot, |batch| {
             sample.push(batch);
             std::ops::ControlFlow::Continue(())
         })?;

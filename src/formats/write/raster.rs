@@ -38,9 +38,12 @@ pub struct Raster<'a> {
     pub size: [usize; 2],
     /// Names and values; NaN is none.
     pub bands: &'a [(&'a str, Vec<f64>)],
+    /// The WKT of the coordinates' CRS.
+    pub wkt: Option<&'a str>,
 }
 
-/// Writes a raster to a file, which appears when it is complete, or with `-` to the standard output.
+/// Writes a raster to a file, which appears when it is complete, or with `-` to the standard output. A grid has its CRS in a
+/// file beside it, which ends in `.prj`.
 ///
 /// # Errors
 ///
@@ -48,6 +51,8 @@ pub struct Raster<'a> {
 pub fn write_raster(path: &Path, format: RasterFormat, raster: &Raster, force: bool) -> Result<(), FormatError> {
     let (destination, file) =
         if path == Path::new("-") { Destination::standard_output()? } else { Destination::file(path, force)? };
+    let beside = raster.wkt.filter(|_| format == RasterFormat::Asc && path != Path::new("-"));
+    let crs = beside.map(|wkt| Ok((Destination::file(&path.with_extension("prj"), force)?, wkt))).transpose()?;
     let mut out = BufWriter::new(file);
     let written = match format {
         RasterFormat::Asc => raster.write_asc(&mut out),
@@ -55,6 +60,10 @@ pub fn write_raster(path: &Path, format: RasterFormat, raster: &Raster, force: b
     };
     let file = written.and_then(|()| out.into_inner().map_err(std::io::IntoInnerError::into_error));
     let file = file.map_err(|e| destination.error("writing", e))?;
+    if let Some(((beside, mut file), wkt)) = crs {
+        writeln!(file, "{wkt}").map_err(|e| beside.error("writing", e))?;
+        beside.finish(file)?;
+    }
     destination.finish(file)
 }
 
@@ -138,7 +147,8 @@ mod tests {
             [("Count", vec![1.0, 0.0, 2.0, 3.0, 0.0, 4.5]), ("Lowest", vec![7.0, f64::NAN, 8.0, 9.0, f64::NAN, 1.0])];
         let written = |bands: &[(&str, Vec<f64>)], format| {
             let path = folder.path().join("a");
-            write_raster(&path, format, &Raster { side: 0.5, first: [-2, 10], size: [3, 2], bands }, true).unwrap();
+            write_raster(&path, format, &Raster { side: 0.5, first: [-2, 10], size: [3, 2], bands, wkt: None }, true)
+                .unwrap();
             std::fs::read_to_string(path).unwrap()
         };
         let head = "ncols 3\nnrows 2\nxllcorner -1\nyllcorner 5\ncellsize 0.5\nNODATA_value -9999\n";
@@ -154,7 +164,7 @@ mod tests {
     /// Products of floats gave 770519.3999999999.
     #[test]
     fn edges_and_centres_are_the_nearest_floats_to_multiples_of_the_side() {
-        let raster = |side, first| Raster { side, first: [first; 2], size: [1; 2], bands: &[] };
+        let raster = |side, first| Raster { side, first: [first; 2], size: [1; 2], bands: &[], wkt: None };
         for n in (-5000..5000).chain(7_705_000..7_706_000) {
             let text = |tenths: i64| format!("{tenths}e-2").parse::<f64>().unwrap();
             assert_eq!(raster(0.1, n).at(2 * i128::from(n)), text(10 * n));

@@ -68,6 +68,12 @@ fn degrees_are_told_and_so_is_what_can_be_none() {
     let place = Place::new();
     let told = place.store("near.esker", "a.las", "EPSG:4326");
     assert!(told.contains("degrees and metres") && told.contains("mix the two units"), "{told}");
+    place.store("metres.esker", "a.las", "EPSG:25832");
+    for (store, is_told) in [("near.esker", true), ("metres.esker", false)] {
+        let output = esker(&["render", &place.path(store), "--size", "40x30", "--force", "-o", &place.path("a.png")]);
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && told.contains("as long as metres") == is_told, "{store}: {told}");
+    }
     let mut las = TinyLas::new(1);
     las.push([33_900_200, 524_800_000, 0], 1);
     fs::write(place.path("far.las"), las.bytes()).unwrap();

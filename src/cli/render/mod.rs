@@ -12,7 +12,7 @@ use super::{Outcome, output, values};
 use crate::formats::{OutputFile, check_output};
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::LatticeBox;
-use crate::points::Batch;
+use crate::points::{Batch, Crs};
 use crate::query::{Detail, Query, Region, flat_attributes, occupied_boxes};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
 use crate::store::model::{Scan, ScanId};
@@ -112,6 +112,12 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let pictures = outputs.iter().map(|path| check_output(path, arguments.force)).collect::<Result<Vec<_>, _>>()?;
     let mut table = Table::create(arguments.stats.as_deref(), &pictures, arguments.force)?;
 
+    if snapshot.site().crs.as_ref().is_some_and(Crs::is_geographic) {
+        eprintln!(
+            "esker: the site's coordinates are degrees, and are drawn as long as metres of height; reproject its files for \
+             a picture in proportion"
+        );
+    }
     let query = query(arguments, &snapshot)?.cancel(&cancel);
     let coloring = coloring(arguments, &snapshot, &query)?;
     let mut session = session(arguments, &snapshot, query, coloring, starting)?;

@@ -64,6 +64,13 @@ impl Reading<'_> {
         let failed = AtomicBool::new(false);
         let first_error = Mutex::new(None);
         let unreadable = Mutex::new(BTreeMap::new());
+        let leave_out = |i: usize, error: IngestError| match error.source_path() {
+            Some(_) if self.keep_going => {
+                lock(&unreadable).entry(i).or_insert(error);
+                Ok(())
+            }
+            _ => Err(error),
+        };
         // Pieces of a source come one after the other, so a thread has one sorter at a time.
         let work = || {
             let mut current: Option<(usize, Sorter<'_, '_>)> = None;
@@ -80,8 +87,10 @@ impl Reading<'_> {
                 match task {
                     Task::Hash(i) => {
                         let path = &self.sources[*i].reader.info().path;
-                        let hash = content_hash(path, &|| self.progress.cancelled())?;
-                        *lock(&contents[*i]) = Some(hash.ok_or(IngestError::Interrupted)?);
+                        match content_hash(path, &|| self.progress.cancelled()) {
+                            Ok(hash) => *lock(&contents[*i]) = Some(hash.ok_or(IngestError::Interrupted)?),
+                            Err(error) => leave_out(*i, error.into())?,
+                        }
                     }
                     // What has been read of it is of no use any more.
                     Task::Piece(i, _) if self.keep_going && lock(&unreadable).contains_key(i) => {}
@@ -94,10 +103,7 @@ impl Reading<'_> {
                         let hash = hashes[*i].as_ref();
                         match self.piece::<K>(sorter, &self.sources[*i], *piece, hash, budget.open_bytes) {
                             Ok(truncated) => lock(&tallies[*i]).rejected.truncated += truncated,
-                            Err(error) if self.keep_going && error.source_path().is_some() => {
-                                lock(&unreadable).entry(*i).or_insert(error);
-                            }
-                            Err(error) => return Err(error),
+                            Err(error) => leave_out(*i, error)?,
                         }
                     }
                 }

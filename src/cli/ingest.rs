@@ -120,7 +120,12 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         {
             bail!("{error}; the store comes first: esker ingest STORE {} ...", arguments.store.display())
         }
-        Err(error @ IngestError::Format(_)) if !arguments.keep_going && are_several(&arguments.inputs) => {
+        Err(
+            error @ (IngestError::Format(_)
+            | IngestError::Grid(_)
+            | IngestError::OutOfRange { .. }
+            | IngestError::Truncated { .. }),
+        ) if !arguments.keep_going && are_several(&arguments.inputs) => {
             bail!("{}; --keep-going stores the others", output::one_line(&error.into()))
         }
         result => result?,

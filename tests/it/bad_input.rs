@@ -145,6 +145,7 @@ fn inputs_that_cannot_be_read_are_left_out_where_that_is_asked_for() {
     let whole = fs::read(&good[0]).unwrap();
     let cut = place.write("cut.las", &whole[..whole.len() / 2]);
     let store = place.path("cut.esker");
+    esker_fails(&["ingest", &store, &good[2], &cut, "--strict"], 1, &["cut.las", "--keep-going"]);
     let output = esker(&["ingest", &store, &good[2], &cut, "--strict", "--keep-going"]);
     assert_eq!(output.status.code(), Some(3));
     assert_eq!(esker_ok(&["query", &store, "--count"]).trim(), "20000");

@@ -20,9 +20,9 @@ use std::path::PathBuf;
     after_help = "Examples:\n  esker density site.esker --side 1\n  esker density site.esker --side 0.5 -o density.asc\n  \
                   esker density site.esker --side 1 --where 'Classification = 2' --value lowest -o ground.asc\n  \
                   esker density site.esker --side 10 -o - --format csv\n\n\
-                  .asc is ESRI's text raster of one value, which QGIS, GDAL and CloudCompare read; .csv has a line for each \
-                  square that has points: X and Y of its centre, Count, Lowest, Highest. The edges of squares are at \
-                  multiples of the side."
+                  .asc is ESRI's text raster of one value, which QGIS, GDAL and CloudCompare read, with the CRS beside it in \
+                  a .prj where the store knows its WKT; .csv has a line for each square that has points: X and Y of its \
+                  centre, Count, Lowest, Highest. The edges of squares are at multiples of the side."
 )]
 pub(super) struct Arguments {
     /// The store.

@@ -2,8 +2,9 @@
 
 use super::IngestError;
 use super::bulk::{Layer, Room, params};
-use super::change::{Edit, Ground, NewPoints, POINT_BYTES, ScanOrder, change};
+use super::change::{Edit, Ground, NewPoints, ScanOrder, change, point_bytes};
 use super::context::Context;
+use super::error::Stopped;
 use super::gather::ScanColumns;
 use super::layers::{MOST_INSERTED, Target, joined, scan_table, taken_layers, target, withdraw};
 use super::measure::{WorldBounds, hinted_bounds};
@@ -38,23 +39,17 @@ pub(super) struct Batch<'a> {
     pub keep_going: bool,
 }
 
-impl Batch<'_> {
-    /// The errors of the sources: the first one, or all of them if the others are to be stored.
-    fn refuse(&self, errors: impl Iterator<Item = Option<IngestError>>) -> Result<(), IngestError> {
-        let mut errors: Vec<_> = errors.enumerate().filter_map(|(i, error)| Some((i, error?))).collect();
-        match errors.len() {
-            0 => Ok(()),
-            _ if self.keep_going => Err(IngestError::Unreadable(errors)),
-            _ => Err(errors.swap_remove(0).1),
-        }
-    }
+/// The errors of sources, in their order.
+fn refuse(errors: impl Iterator<Item = Option<IngestError>>) -> Result<(), Stopped> {
+    let errors: Vec<_> = errors.enumerate().filter_map(|(i, error)| Some((i, error?))).collect();
+    if errors.is_empty() { Ok(()) } else { Err(Stopped::Unreadable(errors)) }
 }
 
 /// Reads the sources and commits them.
 ///
 /// # Errors
 ///
-/// [`IngestError`]; [`IngestError::Unreadable`] if some can't be read and the batch is to go on without them.
+/// [`Stopped`]; nothing was committed.
 pub(super) fn add(
     context: &Context<'_>,
     store: &Store,
@@ -62,13 +57,13 @@ pub(super) fn add(
     batch: &Batch<'_>,
     stages: &mut Stages,
     report: &mut Report,
-) -> Result<(), IngestError> {
+) -> Result<(), Stopped> {
     // The lock is held: what the snapshot says stays true.
     let snapshot = store.snapshot()?;
     let site = snapshot.site().clone();
     let lattice = &site.lattice;
     let sources = batch.sources;
-    let plans = plans(batch, lattice)?;
+    let plans = plans(sources, lattice)?;
 
     let records: u64 = sources.iter().map(|s| s.reader.info().records).sum();
     let payload: u64 = sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.payload as u64).sum();
@@ -96,7 +91,7 @@ pub(super) fn add(
         (read, partition.finish())
     };
     report.temp_bytes = report.temp_bytes.max(room.temp_bytes());
-    refuse_if_all_are_outside(batch, &read.tallies, lattice)?;
+    refuse_if_all_are_outside(sources, &read.tallies, lattice)?;
 
     let scans = scan_rows(writer, batch, &read, &plans)?;
     let new_points = read.tallies.iter().map(|t| t.stored).sum();
@@ -120,15 +115,15 @@ pub(super) fn add(
     Ok(())
 }
 
-fn plans(batch: &Batch<'_>, lattice: &Lattice) -> Result<Vec<RowPlan>, IngestError> {
+fn plans(sources: &[Source], lattice: &Lattice) -> Result<Vec<RowPlan>, Stopped> {
     let (mut plans, mut refused) = (Vec::new(), Vec::new());
-    for (slot, source) in (0..).zip(batch.sources) {
+    for (slot, source) in (0..).zip(sources) {
         let info = source.reader.info();
         let map = info.grid.as_ref().map(|grid| SourceMap::new(grid, lattice));
         refused.push(map.as_ref().is_some_and(Option::is_none).then(|| IngestError::Grid(info.path.clone())));
         plans.push(RowPlan::new(slot, info.layout.clone(), map.flatten()));
     }
-    batch.refuse(refused.into_iter())?;
+    refuse(refused.into_iter())?;
     Ok(plans)
 }
 
@@ -160,7 +155,7 @@ fn build(
     let table = scan_table(writer.attributes(), snapshot.scans().iter().chain(new.scans));
     let ground = Ground { snapshot: &snapshot, params: params(site), scans: &order, table: &table };
     let rows: u64 = buckets.iter().map(|b| b.rows).sum();
-    let fits = rows <= MOST_INSERTED && rows.saturating_mul(POINT_BYTES) <= context.memory;
+    let fits = rows <= MOST_INSERTED && rows.saturating_mul(point_bytes(writer.attributes())) <= context.memory;
     let small = room.is_memory() && fits;
     let columns = new.columns();
 
@@ -172,7 +167,7 @@ fn build(
             NewPoints::of::<u64>(&buckets, &columns, &order)?
         };
         let mut points = new_points.points();
-        if let Target::Existing(into) = target(context, &snapshot, Some(&points))? {
+        if let Target::Existing(into) = target(context, &snapshot, writer.attributes(), Some(&points))? {
             drop(buckets);
             for layer in taken_layers(site) {
                 if layer == into {
@@ -189,7 +184,7 @@ fn build(
         edits.extend(withdraw(context, &ground, writer, layer, batch.replaced)?);
     }
     let bounds = new.scans.iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    if let (Some(bounds), Target::New(into)) = (bounds, target(context, &snapshot, None)?) {
+    if let (Some(bounds), Target::New(into)) = (bounds, target(context, &snapshot, writer.attributes(), None)?) {
         let params = params(site);
         let root = Cube::spanning(bounds.min, bounds.max, site.g);
         // A snapshot that is held keeps the log from being used again while it grows by the whole layer.
@@ -248,7 +243,7 @@ fn scan_rows(
 }
 
 /// Refuses sources of which no point is in the lattice.
-fn refuse_if_all_are_outside(batch: &Batch<'_>, tallies: &[ScanTally], lattice: &Lattice) -> Result<(), IngestError> {
+fn refuse_if_all_are_outside(sources: &[Source], tallies: &[ScanTally], lattice: &Lattice) -> Result<(), Stopped> {
     let refused = |(source, tally): (&Source, &ScanTally)| {
         let out = tally.rejected.out_of_range;
         let path = source.reader.info().path.clone();
@@ -258,7 +253,7 @@ fn refuse_if_all_are_outside(batch: &Batch<'_>, tallies: &[ScanTally], lattice: 
             range: range_of(lattice),
         })
     };
-    batch.refuse(batch.sources.iter().zip(tallies).map(refused))
+    refuse(sources.iter().zip(tallies).map(refused))
 }
 
 /// The range of the lattice in words.

@@ -188,16 +188,50 @@ pub enum IngestError {
     /// Threads could not be started.
     #[error("starting the worker threads failed: {0}")]
     Threads(String),
-    /// Sources that can't be read, by their place in a batch: those of a run that goes on without them.
-    #[error("{} of the inputs can't be read", .0.len())]
-    #[doc(hidden)]
-    Unreadable(Vec<(usize, IngestError)>),
     /// A rule that the code relies on does not hold: a bug.
     #[error("internal error: {0}; please report it")]
     Internal(String),
     /// Ctrl-C.
     #[error("interrupted; the store is at its last commit, and the same command resumes")]
     Interrupted,
+}
+
+/// Why a batch was not added.
+pub(super) enum Stopped {
+    /// Some of its sources can't be read or do not fit: their places in the batch, ascending.
+    Unreadable(Vec<(usize, IngestError)>),
+    /// Anything else.
+    Failed(IngestError),
+}
+
+impl From<Stopped> for IngestError {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Failed(error) => error,
+            Stopped::Unreadable(errors) => {
+                let nobody = || Self::Internal("sources that can't be read, and none of them".into());
+                errors.into_iter().next().map_or_else(nobody, |first| first.1)
+            }
+        }
+    }
+}
+
+impl From<FormatError> for Stopped {
+    fn from(error: FormatError) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+impl From<IngestError> for Stopped {
+    fn from(error: IngestError) -> Self {
+        Self::Failed(error)
+    }
+}
+
+impl From<StoreError> for Stopped {
+    fn from(error: StoreError) -> Self {
+        Self::Failed(error.into())
+    }
 }
 
 impl IngestError {

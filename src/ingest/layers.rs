@@ -8,7 +8,7 @@
 use super::IngestError;
 use super::build::Sink;
 use super::bulk::{Layer, Room, params};
-use super::change::{Edit, Ground, POINT_BYTES, Point, change, touched, touched_by_removal};
+use super::change::{Edit, Ground, Point, change, point_bytes, touched, touched_by_removal};
 use super::context::Context;
 use super::gather::ScanColumns;
 use super::partition::Bucket;
@@ -41,17 +41,19 @@ pub(super) enum Target {
     New(u16),
 }
 
-/// Where these points, which ascend, go; `None` if they are too many to be looked at one by one.
+/// Where these points, which ascend, go in a store that will have these attributes; `None` if they are too many to be looked
+/// at one by one.
 pub(super) fn target(
     context: &Context<'_>,
     snapshot: &Snapshot,
+    attributes: &[StoredAttribute],
     points: Option<&[Point<'_>]>,
 ) -> Result<Target, IngestError> {
     let site = snapshot.site();
     if let Some(points) = points {
         let n = points.len() as u64;
         let most = n.saturating_mul(MOST_REWRITTEN).saturating_add(2 * u64::from(site.leaf_capacity));
-        let most = most.min((context.memory / POINT_BYTES).saturating_sub(n));
+        let most = most.min((context.memory / point_bytes(attributes)).saturating_sub(n));
         for layer in taken_layers(site) {
             if touched(&snapshot.nodes(), layer, points, most)?.is_some() {
                 return Ok(Target::Existing(layer));
@@ -95,7 +97,7 @@ pub(super) fn withdraw(
         return Ok(Some(Edit { layer, delete: all_nodes(&nodes, layer)?, ..Edit::default() }));
     }
     let rewritten = touched_by_removal(&nodes, layer, doomed)?;
-    let fits = rewritten.saturating_mul(POINT_BYTES) <= context.memory;
+    let fits = rewritten.saturating_mul(point_bytes(writer.attributes())) <= context.memory;
     // Where most of a large layer changes, building it anew on all threads is quicker.
     let dense = rewritten > head.subtree_points / 2 && rewritten > 16 * u64::from(ground.params.leaf_capacity);
     if fits && !dense {

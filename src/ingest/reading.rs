@@ -3,6 +3,7 @@
 
 use super::IngestError;
 use super::budget::Budget;
+use super::error::Stopped;
 use super::identity::{PieceHash, content_hash};
 use super::partition::{Partition, RowPlan, ScanTally, Sorter};
 use super::progress::Progress;
@@ -49,7 +50,11 @@ fn piece_hash(source: &Source) -> Option<PieceHash> {
 
 impl Reading<'_> {
     /// Reads everything.
-    pub fn read<K: RowKey>(&self, partition: &Partition<'_>, budget: &Budget) -> Result<Read, IngestError> {
+    ///
+    /// # Errors
+    ///
+    /// [`Stopped`]; with `keep_going` all sources that can't be read.
+    pub fn read<K: RowKey>(&self, partition: &Partition<'_>, budget: &Budget) -> Result<Read, Stopped> {
         let contents: Vec<_> = self.sources.iter().map(|s| Mutex::new(s.content)).collect();
         let tallies: Vec<_> = self.sources.iter().map(|_| Mutex::new(ScanTally::default())).collect();
         // Of some sources the bytes are hashed as they are read.
@@ -121,11 +126,11 @@ impl Reading<'_> {
             }
         });
         if let Some(error) = first_error.into_inner().unwrap_or_else(PoisonError::into_inner) {
-            return Err(error);
+            return Err(error.into());
         }
         let unreadable = unreadable.into_inner().unwrap_or_else(PoisonError::into_inner);
         if !unreadable.is_empty() {
-            return Err(IngestError::Unreadable(unreadable.into_iter().collect()));
+            return Err(Stopped::Unreadable(unreadable.into_iter().collect()));
         }
         let mut read = Read { tallies: Vec::new(), contents: Vec::new() };
         for (tally, source) in tallies.into_iter().zip(self.sources) {

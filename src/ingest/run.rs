@@ -3,6 +3,7 @@
 use super::batch::{Batch, add};
 use super::budget::peak_memory;
 use super::context::{Context, Resources};
+use super::error::Stopped;
 use super::lattice_choice::{Evidence, choose};
 use super::layers::fold_if_many;
 use super::measure::{WorldBounds, measure};
@@ -127,7 +128,7 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
                 continue;
             }
             // It is read once more without them.
-            Err(IngestError::Unreadable(of_batch)) => {
+            Err(Stopped::Unreadable(of_batch)) if options.keep_going => {
                 rest.leave_out(of_batch);
                 let any = !report.scans.is_empty() || !created && !report.skipped.is_empty();
                 if any || !rest.sources.is_empty() {
@@ -135,7 +136,7 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
                 }
                 rest.unreadable.swap_remove(0).1
             }
-            Err(error) => error,
+            Err(stopped) => stopped.into(),
         };
         if created && report.scans.is_empty() {
             // Nothing was there before and nothing was added: leave no empty store behind.

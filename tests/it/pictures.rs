@@ -343,6 +343,36 @@ fn an_adapter_may_be_asked_for_by_name() {
 }
 
 /// A store of two points, in its folder.
+/// Scans that are hidden, or not asked for, have an entry in no legend.
+#[test]
+fn a_legend_lists_the_scans_that_are_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for (name, x) in [("a", 0), ("b", 1), ("c", 2)] {
+        fs::write(path(&format!("{name}.xyz")), format!("{x} 2 3\n{x} 5 6\n")).unwrap();
+    }
+    // From so far away that no point is seen before the legend.
+    fs::write(path("view.json"), view_at([0.0, -100.0, 0.0], [0.0, 0.0, 0.0], [0; 3])).unwrap();
+    let store = path("s.esker");
+    esker_ok(&["ingest", &store, &path("a.xyz"), &path("b.xyz"), &path("c.xyz")]);
+    let corner = |asked: &[&str]| {
+        let (view, picture) = (path("view.json"), path("p.png"));
+        let mut arguments = vec!["render", &store, "--view", &view, "--color", "scan", "--legend"];
+        arguments.extend(["--force", "-o", &picture]);
+        arguments.extend(asked);
+        esker_ok(&arguments);
+        let (width, height, bytes) = pixels(&picture);
+        let row = 4 * width as usize;
+        let rows = bytes.chunks(row).skip(height as usize / 2 + 40);
+        rows.flat_map(|row| row[..row.len() / 3].to_vec()).collect::<Vec<_>>()
+    };
+    let (all, one) = (corner(&[]), corner(&["--scan", "a"]));
+    assert!(all != one);
+    esker_ok(&["hide", &store, "b", "c"]);
+    assert!(corner(&[]) == one);
+    assert!(corner(&["--scan", "a", "--scan", "b", "--scan", "c"]) == all);
+}
+
 fn small_store(folder: &Path) -> String {
     let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     fs::write(at("a.xyz"), "1 2 3\n4 5 6\n").unwrap();

@@ -236,13 +236,13 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
     if arguments.range.is_some() && !mode.has_range() {
         bail!("--range is for colours by intensity, height or time, not by {}", mode.word());
     }
-    let scans = || snapshot.scans().iter();
     let asked = query.asked_scans(snapshot)?;
+    let scans = || asked.iter().filter_map(|id| snapshot.scan(*id));
     let options = ColorOptions {
         mode,
-        depths: ColorDepths::of_scans(scans().filter(|s| asked.contains(&s.id)).map(|s| (s.id, s.color_depth))),
+        depths: ColorDepths::of_scans(scans().map(|s| (s.id, s.color_depth))),
         range: arguments.range,
-        scan_names: scans().filter(|s| asked.contains(&s.id)).map(|s| (s.id, s.name.clone())).collect(),
+        scan_names: scans().map(|s| (s.id, s.name.clone())).collect(),
         levels: if mode == ColorMode::Level && arguments.look.legend { Some(info(snapshot)?.levels) } else { None },
     };
     let uncolored = mode == ColorMode::Rgb && options.depths.by_scan.values().any(Option::is_none);

@@ -20,13 +20,17 @@ use super::IngestError;
 use super::progress::{Progress, Stage};
 use crate::lattice::Cube;
 use crate::octree::{Doomed, Params, Tree, TreePoint};
-use crate::store::model::{NodeHead, ScanId};
+use crate::store::model::{NodeHead, ScanId, StoredAttribute};
 use crate::store::{Nodes, ScanTable, Snapshot, StoreError, Writer};
 use nodes::{Blocks, Stored};
 use std::sync::Arc;
 
-/// Bytes of memory that a point takes while it is changed: in the store's block, in its node, and encoded.
-pub(super) const POINT_BYTES: u64 = 140;
+/// Bytes of memory that a point takes while it is changed: in the store's block, in its node, and encoded. Where scans of
+/// many kinds are mixed it has a value of every attribute.
+pub(super) fn point_bytes(attributes: &[StoredAttribute]) -> u64 {
+    // With the attributes of LAS 140.
+    78 + 2 * attributes.iter().map(|a| a.attribute.ty.size() as u64).sum::<u64>().max(31)
+}
 
 /// What a change is made on.
 pub(super) struct Ground<'a> {

@@ -105,15 +105,19 @@ pub struct ReadOptions {
 
 pub use super::text::parse_columns;
 
-/// Point formats that are known by their first bytes but not read.
-const MAGIC: &[(&[u8], &str)] = &[
-    (b"SQLite format 3\0", "an SQLite database as a point file"),
-    (b"PK\x03\x04", "a zip archive"),
-    (b"\x1f\x8b", "a gzip archive"),
-    (b"glTF", "glTF"),
-    (b"\x89HDF", "HDF5"),
-    (b"PAR1", "Parquet"),
+/// What is known by its first bytes but not read, and what to do.
+const MAGIC: &[(&[u8], &str, &str)] = &[
+    (b"SQLite format 3\0", "an SQLite database as a point file", "if it is a store, join it with `esker merge`"),
+    (b"PK\x03\x04", "a zip archive", UNPACK),
+    (b"\x1f\x8b", "a gzip archive", UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", UNPACK),
+    (b"\x28\xb5\x2f\xfd", "a zstd archive", UNPACK),
+    (b"glTF", "glTF", REMEDY),
+    (b"\x89HDF", "HDF5", REMEDY),
+    (b"PAR1", "Parquet", REMEDY),
 ];
+const UNPACK: &str = "unpack it first";
+const GRID: &str = "make points of it first, for example with `gdal_translate -of XYZ`";
 
 /// Formats that are known by their ending but not read.
 const ENDINGS: &[(&[&str], &str)] = &[
@@ -188,8 +192,12 @@ fn recognise(file: &SourceFile, named: bool) -> Result<InputFormat, FormatError>
     if let Some(format) = InputFormat::of_bytes(&head) {
         return Ok(format);
     }
-    if let Some((_, what)) = MAGIC.iter().find(|(magic, _)| head.starts_with(magic)) {
-        return Err(file.unsupported(*what, REMEDY));
+    if let Some((_, what, remedy)) = MAGIC.iter().find(|(magic, ..)| head.starts_with(magic)) {
+        return Err(file.unsupported(*what, remedy));
+    }
+    // A raster of heights begins with its columns, whatever it is called.
+    if head.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"ncols")) {
+        return Err(file.unsupported("a grid of heights (ESRI ASCII raster)", GRID));
     }
     let shape = shape(&head).map(InputFormat::of_shape);
     let found = || quoted(&head[..head.len().min(8)]);
@@ -349,6 +357,9 @@ mod tests {
         assert!(message("a.xyz", b"\xff\xfe1\0 \0").contains("text in UTF-16 is not supported; write it as UTF-8"));
         assert!(message("a.xyz", b"1 2 3\r4 5 6\r").contains("carriage return alone is not supported"));
         assert!(message("a.fls", b"\0\x01").contains("FARO is not supported; convert it"));
+        assert!(message("a.xyz.gz", b"\x1f\x8b\x08\0").contains("a gzip archive is not supported; unpack it first"));
+        assert!(message("a.asc", b"ncols 3\nnrows 2\n1 2 3\n4 5 6\n").contains("a grid of heights"));
+        assert!(message("a.las", b"SQLite format 3\0").contains("join it with `esker merge`"));
         assert!(message("a", b"\0\x01").contains("PTX, PTS, PCD and text with x, y and z are"));
         let folder = tempfile::tempdir().unwrap();
         let directory = open(folder.path(), &ReadOptions::default()).err().unwrap().to_string();

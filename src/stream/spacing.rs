@@ -18,6 +18,15 @@ const FINEST: usize = 8 * FINE;
 const LEAST_POINTS: u32 = 16;
 /// A cell of the size that is looked for has so many points on the mean.
 const POINTS_OF_A_CELL: u32 = 3;
+/// A cell has four cells of half its side on a surface, and fewer than this where most of the surface ends in them.
+const BRANCHING: f32 = 2.6;
+/// By so much more at twice the size: what is as thin at every size is an edge.
+const RISING: f32 = 1.15;
+const LEAST_CELLS: u32 = 24;
+/// And no thinner is assumed than by this, or the wall would lose its shape.
+const MOST_THINNER: f32 = 16.0;
+/// How many times twice as far apart points of a part may lie.
+const MOST_STEPS: usize = 6;
 /// Points that lie anyhow leave wider gaps than those on a grid of the same density.
 const REACH: f64 = 1.25;
 /// Cubes beside each other that differ by less are drawn alike.
@@ -57,22 +66,31 @@ impl Pairs {
         self.by_bits.iter_mut().zip(&other.by_bits).for_each(|(a, b)| *a += b);
     }
 
-    /// Points per area, by the finest cells that have enough points each.
+    /// Points per area, by the finest cells that have enough points each: of the thinnest surface, if there are several.
     fn density(&self) -> Option<f32> {
+        let mut cells = [1_u32; BITS as usize + 3];
         // Of the finest cells, one for each pair that differs at all, and one for the first point.
-        let mut cells = 1 + self.by_bits[1..].iter().sum::<u32>();
-        for bits in 0..=usize::from(BITS) {
-            if bits > 0 {
-                cells -= self.by_bits[bits];
-            }
-            if self.points >= POINTS_OF_A_CELL * cells {
-                let coarser = cells - self.by_bits.get(bits + 1).copied().unwrap_or(0);
-                // 4 on a surface, 8 in a cloud, where what lies behind shows through gaps: smaller splats do there.
-                let through = (cells as f32 / (4 * coarser) as f32).clamp(1.0, 2.0);
-                return Some(self.points as f32 / (cells as f32 * 4_f32.powi(bits as i32)) * through.powf(1.2));
-            }
+        for bits in (0..usize::from(BITS)).rev() {
+            cells[bits] = cells[bits + 1] + self.by_bits[bits + 1];
         }
-        None
+        let enough = |bits: &usize| self.points >= POINTS_OF_A_CELL * cells[*bits];
+        let finest = (0..=usize::from(BITS)).find(enough)?;
+        let branching = |bits: usize| cells[bits] as f32 / cells[bits + 1] as f32;
+        // Where a dense wall stands on a thin floor it has enough points for both. But between the sizes at which the wall's
+        // and the floor's cells have points each, those of the floor do not branch.
+        let ends = |bits: &usize| {
+            cells[bits + 1] >= LEAST_CELLS
+                && branching(*bits) < BRANCHING
+                && branching(bits + 1) > RISING * branching(*bits)
+        };
+        let coarsest = usize::from(BITS).min(finest + MOST_STEPS);
+        let bits = (finest..coarsest).rev().find(ends).map_or(finest, |bits| bits + 1);
+        // 4 on a surface, 8 in a cloud, where what lies behind shows through gaps: smaller splats do there.
+        let through = (branching(bits) / 4.0).clamp(1.0, 2.0).powf(1.2);
+        let area = 4_f32.powi(bits as i32);
+        let all = self.points as f32 / (cells[finest] as f32 * 4_f32.powi(finest as i32));
+        let thin = if bits > finest { all.min((POINTS_OF_A_CELL as f32 / area).max(all / MOST_THINNER)) } else { all };
+        Some(thin * through)
     }
 }
 
@@ -324,6 +342,29 @@ mod tests {
     }
 
     #[test]
+    fn a_dense_wall_leaves_no_holes_in_the_thin_floor_that_it_stands_on() {
+        let cube = Cube::containing(LatticePoint([0; 3]), 12);
+        // One fine cube of the node is 1024 wide.
+        let wall = || floor([0, 0], [1024, 192], 4).into_iter().map(|[y, z, x]| [x + 500, y, z]);
+        let spacing = |points: Vec<[u64; 3]>| {
+            let mut list = list(&[cube]);
+            set_spacings(&mut list, [(0, &Densities::of(cube, &positions(points)), 1.0)]);
+            spacing_at(&list, [500, 500, 5])
+        };
+        assert!(is_near(spacing(wall().collect()), 4.0), "a wall alone");
+        let with_floor = |apart| spacing(floor([0, 0], [1024, 1024], apart).into_iter().chain(wall()).collect());
+        for apart in [8, 16, 32] {
+            let spacing = with_floor(apart);
+            assert!((0.5..2.0).contains(&(spacing / (REACH * apart as f64))), "{spacing} for {apart}");
+        }
+        // The wall keeps its shape.
+        assert!(with_floor(64) <= 4.5 * REACH * 4.0, "{}", with_floor(64));
+        // An edge is thin at every size.
+        let edge: Vec<_> = (0..1024).map(|x| [x, 500 + x % 3, 5 + x % 2]).collect();
+        assert!(spacing(edge.clone()) < 8.0, "{}", spacing(edge));
+    }
+
+    #[test]
     fn what_lies_above_and_in_other_layers_counts() {
         let parent = Cube::containing(LatticePoint([0; 3]), 12);
         let child = parent.child(0).unwrap();
@@ -375,9 +416,18 @@ mod tests {
     fn density_of(points: &[[u64; 3]]) -> Option<f32> {
         let cells = |bits: u32| points.iter().map(|p| p.map(|c| c >> bits)).collect::<HashSet<_>>().len() as u32;
         let enough = |bits: &u32| points.len() as u32 >= POINTS_OF_A_CELL * cells(*bits);
-        let bits = (0..=u32::from(BITS)).find(enough)?;
-        let through = (cells(bits) as f32 / (4 * cells(bits + 1)) as f32).clamp(1.0, 2.0);
-        Some(points.len() as f32 / (cells(bits) as f32 * 4_f32.powi(bits as i32)) * through.powf(1.2))
+        let finest = (0..=u32::from(BITS)).find(enough)?;
+        let branching = |bits| cells(bits) as f32 / cells(bits + 1) as f32;
+        let all = points.len() as f32 / (cells(finest) as f32 * 4_f32.powi(finest as i32));
+        let (mut bits, mut thin) = (finest, all);
+        for at in finest..u32::from(BITS).min(finest + MOST_STEPS as u32) {
+            let [now, next] = [branching(at), branching(at + 1)];
+            if cells(at + 1) >= LEAST_CELLS && now < BRANCHING && next > RISING * now {
+                bits = at + 1;
+                thin = all.min((POINTS_OF_A_CELL as f32 / 4_f32.powi(bits as i32)).max(all / MOST_THINNER));
+            }
+        }
+        Some(thin * (branching(bits) / 4.0).clamp(1.0, 2.0).powf(1.2))
     }
 
     proptest! {

@@ -53,6 +53,8 @@ struct Packing {
     stride: usize,
     /// Where the return number is, and its mask.
     returns: (usize, u8),
+    /// The byte of both return numbers before a point's own are added: the only return, where points have none.
+    blank_returns: u8,
     /// The column of GPS times, if the header wants their range.
     times: Option<usize>,
     /// What messages call the file.
@@ -107,13 +109,18 @@ impl LasWriter {
         let record_bytes = usize::from(header.record_bytes);
         let encoder = Encoder::new(file, &header).map_err(|e| e.into_format_error(&destination))?;
         let buffer_bytes = encoder.preferred_bytes(record_bytes).unwrap_or(BUFFER_BYTES / record_bytes * record_bytes);
+        let (returns_mask, returns_shift) = if header.point_format < 6 { (7, 3) } else { (15, 4) };
+        let tells_returns =
+            output.attributes.iter().any(|a| matches!(a.name.as_str(), "ReturnNumber" | "NumberOfReturns"));
         let packing = Packing {
             integers,
             attributes: output.attributes.clone(),
             slots,
             point_format: header.point_format,
             stride: record_bytes,
-            returns: (14, if header.point_format < 6 { 7 } else { 15 }),
+            returns: (14, returns_mask),
+            // As PDAL has it: no pulse has returns 0 of 0, and readers that keep first or last returns would drop them.
+            blank_returns: if tells_returns { 0 } else { 1 | 1 << returns_shift },
             times,
             shown: destination.shown().into(),
         };
@@ -193,6 +200,9 @@ impl Packing {
             for (row, x) in rows.chunks_exact_mut(stride).zip(integers) {
                 row[4 * axis..4 * axis + 4].copy_from_slice(&x.to_le_bytes());
             }
+        }
+        if self.blank_returns != 0 {
+            rows.chunks_exact_mut(stride).for_each(|row| row[self.returns.0] = self.blank_returns);
         }
         for slot in &self.slots {
             rows::put(*slot, &batch.columns[slot.column], range.clone(), rows, stride).map_err(|too_large| {

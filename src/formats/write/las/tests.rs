@@ -284,6 +284,36 @@ fn formats_6_and_8_are_chosen_where_they_do() {
 }
 
 #[test]
+fn a_point_without_returns_is_the_only_one_of_its_pulse() {
+    let folder = tempfile::tempdir().unwrap();
+    let returns = |plan: OutputPlan, column: Column, ending: &str| {
+        let path = folder.path().join(format!("{}.{ending}", plan.attributes[0].name));
+        write(&path, &plan, &[batch(&plan, &WORLDS, vec![column])]).unwrap();
+        let mut reader = las::Reader::from_path(&path).unwrap();
+        let first = reader.header().number_of_points_by_return(1);
+        let points = reader.read_all().unwrap().points().map(Result::unwrap).collect::<Vec<_>>();
+        std::fs::remove_file(path).unwrap();
+        (
+            first,
+            points.iter().map(|p| (p.return_number, p.number_of_returns, p.is_edge_of_flight_line)).collect::<Vec<_>>(),
+        )
+    };
+    let edge = || (vec![Attribute::new("EdgeOfFlightLine", ScalarType::U8)], Column::U8(vec![1, 0]));
+    for ending in ["las", "laz"] {
+        let (attributes, column) = edge();
+        let told = returns(merged(attributes), column, ending);
+        assert_eq!(told, (Some(2), vec![(1, 1, true), (1, 1, false)]));
+        let (attributes, column) = edge();
+        let old = OutputPlan { las: LasTarget::AsSource(facts((1, 2), 1)), ..merged(attributes) };
+        assert_eq!(returns(old, column, ending), (Some(2), vec![(1, 1, true), (1, 1, false)]));
+        // What is told stays as it is.
+        let plan = merged(vec![Attribute::new("NumberOfReturns", ScalarType::U8)]);
+        let told = returns(plan, Column::U8(vec![2, 0]), ending);
+        assert_eq!((told.0.unwrap_or(0), &told.1[..]), (0, &[(0, 2, false), (0, 0, false)][..]));
+    }
+}
+
+#[test]
 fn what_does_not_fit_is_an_error_and_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.las");

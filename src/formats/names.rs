@@ -1,6 +1,6 @@
 //! What the properties and columns of files without LAS's dimensions are called.
 
-use crate::points::{ScalarType, canonical_name, same_name};
+use crate::points::{ScalarType, canonical_name, same_name, wider_type};
 use std::collections::HashSet;
 
 const COLOURS: [&str; 3] = ["Red", "Green", "Blue"];
@@ -29,9 +29,32 @@ pub(super) fn attribute_name(name: &str, ty: ScalarType) -> String {
     canonical.map_or_else(|| name.to_owned(), str::to_owned)
 }
 
-/// `name`, or else the source's name, or that with a number: none that has been taken with this type.
+/// `name`, or else the source's name, or that with a number: none that has been taken with this type, or with one that
+/// becomes one column with it where scans meet, such as a colour of 8 bits beside one of 16.
 pub(super) fn unique(name: String, source: &str, ty: ScalarType, taken: &mut HashSet<(String, ScalarType)>) -> String {
     let numbered = (2..).map(|n: u64| format!("{source}.{n}"));
-    let mut free = [name, source.to_owned()].into_iter().chain(numbered).filter(|n| taken.insert((n.clone(), ty)));
+    let mut free = [name, source.to_owned()].into_iter().chain(numbered).filter(|n| {
+        let kind = wider_type(n, ty).unwrap_or(ty);
+        taken.insert((n.clone(), kind))
+    });
     free.next().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An answer has one column for both kinds, and added them up.
+    #[test]
+    fn no_scan_has_two_attributes_that_become_one() {
+        let mut taken = HashSet::new();
+        let mut name = |source: &str, ty| unique(attribute_name(source, ty), source, ty, &mut taken);
+        assert_eq!(name("red", ScalarType::U8), "Red");
+        assert_eq!(name("Red", ScalarType::U16), "Red.2");
+        assert_eq!(name("diffuse_red", ScalarType::U8), "diffuse_red");
+        assert_eq!(name("scalar_ScanAngleRank", ScalarType::I16), "ScanAngleRank");
+        assert_eq!(name("ScanAngleRank", ScalarType::I8), "ScanAngleRank.2");
+        // These never do.
+        assert_eq!((name("v", ScalarType::U8), name("v", ScalarType::U16)), ("v".into(), "v".into()));
+    }
 }

@@ -210,6 +210,16 @@ pub fn canonical_name(name: &str) -> Option<&'static str> {
     canonical.or_else(|| SYNONYMS.iter().find(|(s, _)| *s == folded).map(|(_, c)| *c))
 }
 
+/// The type to which an attribute of this name and type is brought where scans have it in two: colours of 8 bits to 16, scan
+/// angles in whole degrees to finer steps.
+pub fn wider_type(name: &str, ty: ScalarType) -> Option<ScalarType> {
+    match (name, ty) {
+        ("Red" | "Green" | "Blue" | "Infrared", ScalarType::U8) => Some(ScalarType::U16),
+        ("ScanAngleRank", ScalarType::I8) => Some(ScalarType::I16),
+        _ => None,
+    }
+}
+
 /// A scan angle in whole degrees in steps of 0.006 degrees: the nearest one.
 pub fn angle_steps(degrees: i8) -> i16 {
     // A degree is 1000/6 steps: add half a step away from zero, then cut.

@@ -11,7 +11,7 @@ mod real;
 mod record;
 mod wkt;
 
-pub use attribute::{Attribute, Identity, ScalarType, Scaling, angle_steps, canonical_name, same_name};
+pub use attribute::{Attribute, Identity, ScalarType, Scaling, angle_steps, canonical_name, same_name, wider_type};
 pub use batch::{Batch, Positions};
 pub use column::Column;
 pub use number::Number;

@@ -118,7 +118,7 @@ pub(crate) fn limited(plan: &Plan, finest: Option<u8>, capacity: u64) -> Result<
         match cell {
             Some(c) if points <= capacity && cell != finest => cell = finer(c, points, capacity, finest),
             _ => {
-                let complete = cell.map_or(0.0, |c| plan.metric().step_bound(c as i8, 7));
+                let complete = cell.map_or(0.0, |c| plan.metric_within().step_bound(c as i8, 7));
                 // A filter may have left nothing at all.
                 let bound = if points == 0 { 0.0 } else { complete };
                 return Ok(Sequence::of(plan, cell, looked, Some(capacity), bound));
@@ -146,7 +146,7 @@ impl Sequence {
         let cut = capacity.and_then(|capacity| looked.cut(capacity));
         let points = capacity.map_or(total, |capacity| total.min(capacity));
         let bound = match &cut {
-            Some(cut) => plan.metric().prefix(points, Some(Step::of_ordinal(cut.step))),
+            Some(cut) => plan.metric_within().prefix(points, Some(Step::of_ordinal(cut.step))),
             None => complete,
         };
         let last = match &cut {

@@ -1,7 +1,8 @@
 //! What node rows alone say of all points of a snapshot: where they are, and which attributes tell nothing.
 
 use super::strays::{Place, without_strays};
-use crate::lattice::{Cube, LatticeBox, LatticePoint};
+use crate::lattice::{Cube, Lattice, LatticeBox, LatticePoint};
+use crate::octree::Metric;
 use crate::store::model::{Range, ScanId};
 use crate::store::{Node, Snapshot, StoreError};
 use std::collections::{BTreeMap, BinaryHeap};
@@ -10,6 +11,13 @@ use std::collections::{BTreeMap, BinaryHeap};
 const MOST_BOXES: usize = 256;
 /// So small a share of the points may be left out of the outline, if it is far smaller without them.
 const STRAY_SHARE: f64 = 1e-3;
+
+/// Lengths in CRS units. No two points are farther apart than all points are wide, and so no bound is larger than that.
+pub(crate) fn metric(lattice: &Lattice, roots: &[Node]) -> Metric {
+    let metric = Metric::new(lattice.quantum_f64());
+    let all = roots.iter().map(|root| root.subtree_bounds).reduce(|a, b| a.union(&b));
+    all.map_or(metric, |all| metric.within(&all))
+}
 
 /// A subtree, by the size of its box.
 struct Largest(u64, Node);

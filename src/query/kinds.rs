@@ -1,7 +1,7 @@
 //! Two kinds of one attribute in the scans of an answer: colours of 8 and of 16 bits, scan angles in degrees and in finer
 //! steps. Where both are there, the answer has the wider kind, and the other is brought to it.
 
-use crate::points::{Attribute, ScalarType, angle_steps};
+use crate::points::{Attribute, ScalarType, angle_steps, wider_type};
 use crate::store::Snapshot;
 use crate::store::model::{Scan, ScanId, Slot, StoredAttribute};
 
@@ -50,11 +50,8 @@ pub(crate) fn may_be_narrower(attribute: &Attribute) -> bool {
 
 /// The type of the kind to which this one is brought, and how.
 pub(crate) fn wider(attribute: &Attribute) -> Option<(ScalarType, Widening)> {
-    match (attribute.name.as_str(), attribute.ty) {
-        (_, ScalarType::U8) if is_color(attribute) => Some((ScalarType::U16, Widening::Color)),
-        (ANGLE, ScalarType::I8) => Some((ScalarType::I16, Widening::Degrees)),
-        _ => None,
-    }
+    let ty = wider_type(&attribute.name, attribute.ty)?;
+    Some((ty, if ty == ScalarType::U16 { Widening::Color } else { Widening::Degrees }))
 }
 
 /// The kinds that meet in some scans.

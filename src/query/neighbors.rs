@@ -108,6 +108,9 @@ pub(super) struct Search<'a> {
     /// The nearest of each layer: which of equally near points of several layers are the first is told by their records.
     found: Vec<BinaryHeap<Candidate>>,
     window: Window,
+    /// Boxes that are [about](Self::about) farther than this are outside of the window's sphere: from far away most of the
+    /// window's box is, too.
+    beyond: f64,
 }
 
 /// Puts equally near points of several layers into the canonical order, in the neighbours of some places; `k` of each stay.
@@ -137,7 +140,8 @@ impl<'a> Search<'a> {
         let (quantum, phase) = (plan.lattice.quantum_f64(), plan.lattice.phase().map(Decimal::to_f64));
         let window = Window { low: [0; 3], high: [u64::MAX; 3] };
         let found = vec![BinaryHeap::new(); plan.roots.len()];
-        let mut search = Self { plan, point, k, farthest, quantum, phase, found, window };
+        let beyond = f64::INFINITY;
+        let mut search = Self { plan, point, k, farthest, quantum, phase, found, window, beyond };
         search.narrow();
         search
     }
@@ -155,13 +159,15 @@ impl<'a> Search<'a> {
         if self.k > 0 {
             self.wait(plan.roots.iter().cloned(), &mut open);
         }
-        while let Some(Reverse(Waiting { step, node, .. })) = open.pop() {
+        while let Some(Reverse(Waiting { square, step, node })) = open.pop() {
             plan.cancel.check()?;
+            if square > self.beyond {
+                break;
+            }
             match step {
                 Step::Children => {
                     visited += 1;
-                    if !self.window.meets(&node.subtree_bounds)
-                        || plan.prospect(&node, Scope::Subtree)? == Prospect::Nothing
+                    if !self.reaches(&node.subtree_bounds) || plan.prospect(&node, Scope::Subtree)? == Prospect::Nothing
                     {
                         continue;
                     }
@@ -171,7 +177,7 @@ impl<'a> Search<'a> {
                     }
                 }
                 Step::Own => {
-                    let near_enough = node.own_bounds.is_some_and(|bounds| self.window.meets(&bounds));
+                    let near_enough = node.own_bounds.is_some_and(|bounds| self.reaches(&bounds));
                     if near_enough && plan.prospect(&node, Scope::Own)? != Prospect::Nothing {
                         for part in 0..node.parts.len() {
                             plan.cancel.check()?;
@@ -193,7 +199,7 @@ impl<'a> Search<'a> {
     }
 
     fn wait(&self, nodes: impl Iterator<Item = Node>, open: &mut BinaryHeap<Reverse<Waiting>>) {
-        open.extend(nodes.filter(|node| self.window.meets(&node.subtree_bounds)).map(|node| {
+        open.extend(nodes.filter(|node| self.reaches(&node.subtree_bounds)).map(|node| {
             let square = self.about(&node.subtree_bounds);
             Reverse(Waiting { square, step: Step::Children, node })
         }));
@@ -203,12 +209,11 @@ impl<'a> Search<'a> {
     fn offer_part(&mut self, node: &Node, part: usize, near: &mut Near<'_>) -> Result<(), QueryError> {
         let layer = self.plan.roots.iter().position(|root| root.layer == node.layer).unwrap_or_default();
         let bounds = near.bounds(node, part)?;
-        let meets = |window: &Window, block: &usize| window.meets(&bounds[*block]);
-        let mut blocks: Vec<usize> = (0..bounds.len()).filter(|block| meets(&self.window, block)).collect();
+        let mut blocks: Vec<usize> = (0..bounds.len()).filter(|&block| self.reaches(&bounds[block])).collect();
         blocks.sort_by(|a, b| self.about(&bounds[*a]).total_cmp(&self.about(&bounds[*b])));
         for block in blocks {
             let outside = self.plan.region.classify(&bounds[block]) == Containment::Outside;
-            if !outside && meets(&self.window, &block) {
+            if !outside && self.reaches(&bounds[block]) {
                 let read = near.block(node, part, block)?;
                 let first = node.blocks(part).range(block).start as u32;
                 self.offer_block(&read, layer, |key, i| Pick {
@@ -232,7 +237,7 @@ impl<'a> Search<'a> {
             .flatten();
         let rest = (0..block.runs.len()).filter(|run| Some(*run) != first);
         for run in first.into_iter().chain(rest) {
-            if self.window.meets(&block.runs[run]) {
+            if self.reaches(&block.runs[run]) {
                 self.offer_run(block, run, layer, &pick);
             }
         }
@@ -270,16 +275,24 @@ impl<'a> Search<'a> {
         full.filter_map(|found| found.peek()).map(|last| last.square).fold(self.farthest, f64::min)
     }
 
+    /// May a neighbour lie in the box?
+    fn reaches(&self, bounds: &LatticeBox) -> bool {
+        self.window.meets(bounds) && self.about(bounds) <= self.beyond
+    }
+
     /// Fits the window to the limit.
     fn narrow(&mut self) {
         let reach = self.limit().sqrt();
+        let mut farther = reach;
         for axis in 0..3 {
             let at = self.point[axis];
             // World coordinates are the nearest f64 to what indices mean: some units in the last place wider.
             let slack = (reach + at.abs()) * 4e-15 + 2.0 * self.quantum[axis];
             self.window.low[axis] = self.index(axis, at - reach - slack);
             self.window.high[axis] = self.index(axis, at + reach + slack);
+            farther += slack;
         }
+        self.beyond = farther * farther;
     }
 
     /// The index of a coordinate, or the first or last there is.

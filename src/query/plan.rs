@@ -2,6 +2,7 @@
 
 use super::answer::{Answer, Meter};
 use super::cancel::Cancel;
+use super::extent::metric;
 use super::filter::{BoundFilter, Known, Names, attributes_named};
 use super::kinds::Kinds;
 use super::mask::Mask;
@@ -114,6 +115,11 @@ impl Plan {
     /// Lengths in CRS units.
     pub fn metric(&self) -> Metric {
         Metric::new(self.lattice.quantum_f64())
+    }
+
+    /// The same, of which none is longer than the site is wide. Not for levels: each has a bound of its own, which asks for it.
+    pub fn metric_within(&self) -> Metric {
+        metric(&self.lattice, &self.roots)
     }
 
     /// The root that the points of all layers would have in one.

@@ -12,6 +12,7 @@
 //! even thinning. So a larger capacity only ever adds points: it makes `s` smaller, and every ratio larger.
 
 use super::QueryError;
+use super::extent::metric;
 use super::view::{RelativeLattice, SelectedPart, Selection, after_parts, not_begun_root};
 use crate::geometry::{Camera, Containment, DVec3, WorldBox};
 use crate::lattice::{Cube, Lattice};
@@ -190,6 +191,7 @@ pub(crate) fn select_by_distance(
     let relative = RelativeLattice::new(lattice, camera.eye());
     let bounds = |node: &Node| relative.relative(&node.subtree_bounds);
     let roots = nodes.roots()?;
+    let metric = metric(lattice, &roots);
     let extent = roots.iter().filter_map(&bounds).map(|b| b.extent().max_element()).fold(0.0, f64::max);
     let split = policy.split.unwrap_or(extent / 16.0);
     let frustum = camera.frustum();
@@ -229,7 +231,6 @@ pub(crate) fn select_by_distance(
     let nearest = spine.iter().map(|s| s.1).fold(f64::INFINITY, f64::min).max(camera.near());
     let spine = Group { parts, points, distance: 0.0, nearest };
     let quotas = quotas(policy, &spine, &groups, capacity.unwrap_or(u64::MAX));
-    let metric = Metric::new(lattice.quantum_f64());
     let mut selection = Selection { nodes_visited: visited, ..Selection::default() };
     let mut bounds = (Some(0.0_f64), Some(0.0_f64));
     let mut begun = None;

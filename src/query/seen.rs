@@ -150,7 +150,7 @@ fn filtered_view(
     } else {
         let mut bound = Bound::new(taken.returned, &gaps);
         bound.miss(&open);
-        bound.finish(&plan.metric(), camera)
+        bound.finish(&plan.metric_within(), camera)
     };
     Ok((taken.tasks, Answer { points: taken.total, error_bound: bound, error_bound_px: px, ..Answer::default() }))
 }

@@ -161,7 +161,12 @@ fn under_capacities(
         let mut before = answers.last().into_iter().flat_map(|(points, _)| points);
         prop_assert!(before.all(|p| found.binary_search(p).is_ok()), "{} points do not nest", capacity);
         match answer.error_bound {
-            Some(bound) => prop_assert!(hausdorff(seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound),
+            Some(bound) => {
+                prop_assert!(hausdorff(seen, &found) <= bound * SLACK, "{} points: {}", capacity, bound);
+                let (low, high) = (test.bounds().min.0, test.bounds().max.0);
+                let wide = (0..3).map(|i| ((high[i] - low[i]) as f64 * QUANTUM).powi(2)).sum::<f64>().sqrt();
+                prop_assert!(bound <= wide * SLACK, "{} points: {} of a site of {}", capacity, bound, wide);
+            }
             None => prop_assert!(found.is_empty(), "{} points and no bound", capacity),
         }
         answers.push((found, answer.error_bound));
@@ -341,7 +346,8 @@ fn the_laws_hold_at_the_parameters_of_the_format() {
                 let (found, answer) = collect(query().capacity(capacity as u64), &test);
                 let expected = order.order.iter().take(capacity).map(|&i| all[i as usize]).collect();
                 assert!(ascending(found) == ascending(expected), "{region:?} {text} {capacity}");
-                let bound = order.bound(capacity.min(all.len()), &Metric::new([QUANTUM; 3]));
+                let metric = Metric::new([QUANTUM; 3]).within(&test.bounds());
+                let bound = order.bound(capacity.min(all.len()), &metric);
                 assert_eq!(answer.error_bound, Some(bound));
             }
         }

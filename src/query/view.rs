@@ -4,6 +4,7 @@
 //! spacing is largest on the image. The sequence depends on the camera and the pixel threshold, never on the capacity,
 //! which only says where it ends.
 
+use super::extent::metric;
 use super::gaps::Gap;
 use crate::geometry::{Camera, Containment, DVec3, Frustum, WorldBox};
 use crate::lattice::{BIAS, BITS, Cube, Lattice, LatticeBox, NodeKey};
@@ -171,6 +172,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
         max_error_px: f64,
         may: F,
     ) -> Result<Self, E> {
+        let roots = nodes.roots()?;
         let mut cut = Self {
             nodes,
             lattice: RelativeLattice::new(lattice, camera.eye()),
@@ -179,7 +181,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
             frustum: camera.frustum(),
             max_error_px,
             may,
-            metric: Metric::new(lattice.quantum_f64()),
+            metric: metric(lattice, &roots),
             quantum: lattice.largest_quantum(),
             heap: BinaryHeap::new(),
             first: None,
@@ -190,7 +192,7 @@ impl<'a, E: From<StoreError>, F: FnMut(&Node) -> Result<bool, E>> ViewCut<'a, F>
             refused: None,
             visited: 0,
         };
-        for root in nodes.roots()? {
+        for root in roots {
             if let Some(distance) = cut.visible(&root)? {
                 cut.wait(root, distance);
             }

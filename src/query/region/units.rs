@@ -21,6 +21,9 @@ impl Region {
     }
 }
 
+/// How many times as wide as the site is the least that is between coordinates in degrees and in metres.
+const MANY_SITES: f64 = 10.0;
+
 fn check(area: &Polygons, crs: Option<&Crs>, site: Option<([f64; 2], [f64; 2])>) -> Result<(), QueryError> {
     let named = |crs: &Crs| match (crs.describe(), crs.unit_name()) {
         (name, Some(unit)) => format!("in {name}, unit {unit}"),
@@ -39,7 +42,9 @@ fn check(area: &Polygons, crs: Option<&Crs>, site: Option<([f64; 2], [f64; 2])>)
     let degrees =
         |min: [f64; 2], max: [f64; 2]| min[0] >= -360.0 && max[0] <= 360.0 && min[1] >= -90.0 && max[1] <= 90.0;
     let geographic = crs.map(Crs::is_geographic);
-    let apart = (0..2).any(|i| max[i] < low[i] || high[i] < min[i]);
+    // What lies beside a small site on a grid of its own looks like degrees, too.
+    let wide = (high[0] - low[0]).max(high[1] - low[1]);
+    let apart = (0..2).any(|i| (low[i] - max[i]).max(min[i] - high[i]) > MANY_SITES * wide);
     let (polygon, store) = (degrees(min, max), degrees(low, high));
     if apart && polygon != store && geographic != Some(polygon) {
         let unit = if polygon { "degrees" } else { "metres or feet" };
@@ -77,6 +82,10 @@ mod tests {
         // A small local site, and one that nothing is known of.
         assert!(degrees.check_coordinates(None, Some(([0.0, 0.0], [50.0, 60.0]))).is_ok());
         assert!(degrees.check_coordinates(Some(&lambert), None).is_ok());
+        let local = region("POLYGON((5 104,11 104,11 110,5 104))");
+        assert!(local.check_coordinates(None, Some(([-100.0, -75.0], [100.0, 75.0]))).is_ok());
+        let small = region("POLYGON((66 -39,68 -39,68 -37,66 -39))");
+        assert!(small.check_coordinates(None, Some(([-50.0, -100.0], [50.0, 700.0]))).is_ok());
         // Beside the site, but in its own coordinates: that is an empty answer.
         let away = region("POLYGON((0 6000000, 10 6000000, 10 6000010, 0 6000000))");
         assert!(away.check_coordinates(Some(&lambert), site).is_ok());

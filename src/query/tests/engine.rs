@@ -235,6 +235,8 @@ proptest! {
     fn neighbours_are_those_that_brute_force_finds(
         places in places(120), params in params(), asked in asked(), k in 0_usize..9,
         near in prop::collection::vec(prop::array::uniform3(-30_i32..300), 1..30),
+        // Of so many of these places one is a thousand times as far away.
+        far in 1_usize..9,
         // Half the squares that there are: many points are just that far.
         radius in prop::option::of((0_u32..50_000).prop_map(|n| (f64::from(n) / 32.0).sqrt())),
     ) {
@@ -242,8 +244,11 @@ proptest! {
         prop_assume!(!test.points.is_empty());
         // On the corners of a grid half as fine: many are equally far.
         let corner = test.lattice.world_from_lattice(Cube::containing(test.points[0].at(), 7).low());
-        let near: Vec<[f64; 3]> =
-            near.iter().map(|p| std::array::from_fn(|i| f64::from(p[i]) / 2.0 * QUANTUM + corner[i])).collect();
+        let place = |(n, p): (usize, &[i32; 3])| -> [f64; 3] {
+            let away = if n % far == far - 1 && far > 2 { 500.0 } else { 0.5 };
+            std::array::from_fn(|i| f64::from(p[i]) * away * QUANTUM + corner[i])
+        };
+        let near: Vec<[f64; 3]> = near.iter().enumerate().map(place).collect();
         let matches = asked.matches(&test, None);
         let query = asked.query(&test).attributes(["class", "height", "code"]);
         let found = query.nearest(&test.snapshot, &near, k, radius).unwrap();
@@ -301,6 +306,20 @@ proptest! {
         }
         prop_assert_eq!(squares, expected);
     }
+}
+
+/// The box around the sphere in which a neighbour may lie is most of the site, seen from afar.
+#[test]
+fn from_afar_only_the_near_side_is_read() {
+    let test = store(&[surface(60_000)], Params { g: 5, leaf_capacity: 2000 }, None);
+    let bounds = test.snapshot.scans()[0].bounds.unwrap();
+    let [low, high] = [bounds.min, bounds.max].map(|corner| test.lattice.world_from_lattice(corner));
+    let decoded = |away: f64| {
+        let at = std::array::from_fn(|i| low[i] + (high[i] - low[i]) * (1.0 + away));
+        Query::new().nearest(&test.snapshot, &[at], 1, None).unwrap().statistics.points_decoded
+    };
+    let (near, far) = (decoded(0.01), decoded(300.0));
+    assert!(near > 0 && far <= 4 * near && far < 20_000, "{far} points, {near} beside the site");
 }
 
 /// The square of the radius, 0.7499999999999999, is less than that of the distance, whose root the radius is.

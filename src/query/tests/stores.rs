@@ -42,6 +42,15 @@ pub struct TestStore {
     pub g: u8,
 }
 
+impl TestStore {
+    /// Of all points; of none it is one place.
+    pub fn bounds(&self) -> LatticeBox {
+        let boxes = self.points.iter().map(|p| LatticeBox { min: p.at(), max: p.at() });
+        let nowhere = LatticePoint([0; 3]);
+        boxes.reduce(|a, b| a.union(&b)).unwrap_or(LatticeBox { min: nowhere, max: nowhere })
+    }
+}
+
 /// Numbers points; those of odd number are of scan 1.
 pub fn numbered(places: Vec<(LatticePoint, u8)>) -> Vec<Point> {
     let point = |(id, (at, class)): (u32, (LatticePoint, u8))| {

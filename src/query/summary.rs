@@ -144,7 +144,16 @@ impl Form {
         });
         // What scans scale in several ways is one attribute to a user.
         let mut joined: Vec<(Attribute, Values)> = Vec::new();
-        for (Summed { attribute, widened, .. }, values) in self.attributes.iter().zip(&summary.columns) {
+        let columns = || self.attributes.iter().zip(&summary.columns);
+        // Of two kinds that meet elsewhere only one may be here.
+        let meets = |a: &Attribute, b: &Attribute| a.name == b.name && wider(a).is_some_and(|(ty, _)| ty == b.ty);
+        let is_elsewhere = |a: &Attribute, values: &Values| {
+            let of_other = |(b, other): (&Summed, &Values)| {
+                other.running.count > 0 && (meets(a, &b.attribute) || meets(&b.attribute, a))
+            };
+            values.running.count == 0 && columns().any(of_other)
+        };
+        for (Summed { attribute, widened, .. }, values) in columns().filter(|(a, v)| !is_elsewhere(&a.attribute, v)) {
             let wider = wider(attribute).filter(|_| !widened.is_empty());
             let ty = wider.map_or(attribute.ty, |(ty, _)| ty);
             match joined.last_mut() {
@@ -369,6 +378,29 @@ mod tests {
         assert_eq!(found[3].ty, "i16");
         let none = form.finish(&form.empty());
         assert_eq!((none[0].count, none[0].mean), (0, None));
+    }
+
+    /// A region that had only points of one kind told of both, of one of them with no values.
+    #[test]
+    fn a_kind_of_a_colour_that_is_not_here_is_not_told() {
+        let kinds = [ScalarType::U8, ScalarType::U16];
+        let attributes = kinds.map(|ty| Attribute::new("Red", ty));
+        let stored: Vec<_> =
+            (2..).zip(attributes.clone()).map(|(id, attribute)| StoredAttribute { id, attribute }).collect();
+        // Scan 5 has the first, scan 7 the second.
+        let form = Form::new(&Lattice::uniform(0.25).unwrap(), &stored, |a| {
+            (Vec::new(), Some(vec![if a.id == 2 { 5 } else { 7 }]))
+        });
+        for (here, scan) in kinds.into_iter().zip([5, 7]) {
+            let positions = [LatticePoint([BIAS as u64; 3])].into_iter().collect();
+            let columns = vec![Column::U8(vec![20]), Column::U16(vec![3000])];
+            let batch = Batch { attributes: attributes.clone().into(), positions, scans: vec![scan], columns };
+            let mut summary = form.empty();
+            summary.add(&form.of(&batch));
+            let told: Vec<_> = form.finish(&summary)[3..].iter().map(|s| (s.ty, s.count)).collect();
+            assert_eq!(told, [(here.word(), 1)]);
+        }
+        assert_eq!(form.finish(&form.empty()).len(), 5, "of neither is anything known");
     }
 
     #[test]

@@ -5,12 +5,6 @@ use crate::points::{Attribute, ScalarType, angle_steps, wider_type};
 use crate::store::Snapshot;
 use crate::store::model::{Scan, ScanId, Slot, StoredAttribute};
 
-/// The names of colours.
-const COLORS: [&str; 4] = ["Red", "Green", "Blue", "Infrared"];
-
-/// The name of scan angles.
-const ANGLE: &str = "ScanAngleRank";
-
 /// A level of 8 bits times this is the same of 16.
 pub(crate) const DEEPER: u16 = 257;
 
@@ -35,7 +29,7 @@ impl Widening {
 
 /// Is it a colour?
 pub(crate) fn is_color(attribute: &Attribute) -> bool {
-    COLORS.contains(&attribute.name.as_str())
+    wider_type(&attribute.name, ScalarType::U8).is_some()
 }
 
 /// Is it a colour of which the depth of a scan's colours is told? Near infrared may have another one.
@@ -45,7 +39,7 @@ pub(crate) fn has_depth(attribute: &Attribute) -> bool {
 
 /// Is there a narrower kind of attributes of this name?
 pub(crate) fn may_be_narrower(attribute: &Attribute) -> bool {
-    is_color(attribute) || attribute.name == ANGLE
+    [ScalarType::U8, ScalarType::I8].into_iter().any(|ty| wider_type(&attribute.name, ty).is_some())
 }
 
 /// The type of the kind to which this one is brought, and how.

@@ -15,6 +15,7 @@ use crate::lattice::{Cube, Key, Lattice, LatticeBox};
 use crate::octree::Params;
 use crate::store::model::Site;
 use crate::store::{ChunkIds, EncodedNode, ScanTable, StoreError, Writer};
+use std::sync::Mutex;
 
 /// Where rows wait for their nodes: memory, or one temporary file.
 pub(super) struct Room {
@@ -90,6 +91,7 @@ impl Room {
             memory: context.memory,
             threads: context.threads,
             progress: context.progress,
+            large: Mutex::default(),
             sink,
         };
         if self.wide { build::<Key>(&plan, buckets) } else { build::<u64>(&plan, buckets) }

@@ -2,60 +2,82 @@
 
 use super::IngestError;
 use super::gather::{RowSource, ScanColumns};
-use super::partition::{Bucket, Place, Segment};
+use super::partition::Bucket;
 use super::rows::{RowKey, copy_payload, with_payload_words};
 use super::sort::{Bins, Sorter};
-use super::spill::Spill;
-use crate::lattice::Cube;
+use super::spill::{Place, Spill};
 use std::cmp::Ordering;
 use std::ops::Range;
 
-/// Payloads of rows of several scans, addressed by a number each.
-#[derive(Debug, Default)]
-pub(super) struct Payloads {
-    bytes: Vec<u8>,
-    runs: Vec<PayloadRun>,
-}
-
-/// Payloads of one scan that lie together.
-#[derive(Clone, Copy, Debug)]
-struct PayloadRun {
+/// How rows without their keys lie one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct RowForm {
+    /// Bytes of a row.
+    pub stride: usize,
+    /// Bytes of the scan's number before each payload: none if all are of one scan.
+    head: usize,
+    /// The only scan.
     slot: u32,
-    first: u32,
-    start: usize,
-    payload: usize,
 }
 
-impl Payloads {
-    /// The scan and the payload of row `row`.
-    #[inline]
-    pub fn row(&self, row: u32) -> (u32, &[u8]) {
-        let run = match self.runs.as_slice() {
-            [only] => only,
-            runs => &runs[runs.partition_point(|r| r.first <= row) - 1],
-        };
-        let start = run.start + (row - run.first) as usize * run.payload;
-        (run.slot, &self.bytes[start..start + run.payload])
+impl RowForm {
+    /// For rows of these scans, by slot and size of the payload, at least one.
+    pub fn of(scans: impl Iterator<Item = (u32, usize)> + Clone) -> Self {
+        let slot = scans.clone().next().map_or(0, |s| s.0);
+        let head = if scans.clone().all(|s| s.0 == slot) { 0 } else { SLOT_BYTES };
+        Self { stride: head + scans.map(|s| s.1).max().unwrap_or(0), head, slot }
     }
 
-    fn push(&mut self, row: u32, slot: u32, payload: &[u8]) {
-        if self.runs.last().is_none_or(|r| r.slot != slot) {
-            self.runs.push(PayloadRun { slot, first: row, start: self.bytes.len(), payload: payload.len() });
+    /// A form for rows of all these forms.
+    pub fn union(forms: impl Iterator<Item = Self> + Clone) -> Self {
+        let Some(first) = forms.clone().next() else { return Self { stride: 0, head: 0, slot: 0 } };
+        if forms.clone().all(|form| form == first) {
+            return first;
         }
-        self.bytes.extend_from_slice(payload);
+        let payload = forms.map(|form| form.stride - form.head).max().unwrap_or(0);
+        Self { stride: SLOT_BYTES + payload, head: SLOT_BYTES, slot: first.slot }
+    }
+
+    /// The scan of a row of `stride` bytes, and its payload with what may be behind it.
+    #[inline(always)]
+    fn split(self, row: &[u8]) -> (u32, &[u8]) {
+        if self.head == 0 {
+            return (self.slot, row);
+        }
+        let (slot, payload) = row.split_at(SLOT_BYTES);
+        (u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]), payload)
+    }
+
+    /// Appends rows of the form `from`, of which this is a union, in this one: all `count` of `rows`.
+    pub fn append(self, rows: &[u8], count: usize, from: Self, to: &mut Vec<u8>) {
+        if self == from {
+            to.extend_from_slice(rows);
+            return;
+        }
+        for row in 0..count {
+            let (slot, payload) = from.split(&rows[row * from.stride..][..from.stride]);
+            let end = to.len() + self.stride;
+            to.extend_from_slice(&slot.to_le_bytes());
+            to.extend_from_slice(payload);
+            to.resize(end, 0);
+        }
     }
 }
 
 /// Rows of one cube without their keys, one after the other in key order, addressed by their number.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rows<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    /// Bytes of the scan's number before each payload: none if all are of one scan.
-    head: usize,
-    /// The only scan.
-    slot: u32,
-    scans: &'a [ScanColumns<'a>],
+    pub bytes: &'a [u8],
+    pub form: RowForm,
+    pub scans: &'a [ScanColumns<'a>],
+}
+
+impl Rows<'_> {
+    /// Row `row` as it lies there.
+    #[inline(always)]
+    pub fn whole(&self, row: u32) -> &[u8] {
+        &self.bytes[row as usize * self.form.stride..][..self.form.stride]
+    }
 }
 
 /// Bytes of a buffer that are kept from job to job.
@@ -67,26 +89,14 @@ const SLOT_BYTES: usize = 4;
 impl<'a> RowSource<'a> for Rows<'a> {
     #[inline(always)]
     fn row(&self, row: u32) -> (u32, &'a [u8]) {
-        let start = row as usize * self.stride;
-        let bytes = &self.bytes[start..start + self.stride];
-        if self.head == 0 {
-            return (self.slot, bytes);
+        let RowForm { stride, head, slot } = self.form;
+        let start = row as usize * stride;
+        let bytes = &self.bytes[start..start + stride];
+        if head == 0 {
+            return (slot, bytes);
         }
-        let (slot, payload) = bytes.split_at(SLOT_BYTES);
-        let slot = u32::from_le_bytes([slot[0], slot[1], slot[2], slot[3]]);
+        let (slot, payload) = self.form.split(bytes);
         (slot, &payload[..self.scans[slot as usize].plan.layout.payload])
-    }
-}
-
-impl Rows<'_> {
-    /// The payloads of `rows`, copied, numbered from zero in that order.
-    pub fn picked(&self, rows: impl Iterator<Item = u32>) -> Payloads {
-        let mut picked = Payloads::default();
-        for (number, row) in (0..).zip(rows) {
-            let (slot, payload) = self.row(row);
-            picked.push(number, slot, payload);
-        }
-        picked
     }
 }
 
@@ -113,40 +123,6 @@ pub(super) struct Loaded<'a, K> {
     pub rows: Rows<'a>,
 }
 
-/// Calls `each` with the key of every row of `bucket`, segment by segment.
-pub(super) fn for_each_key<K: RowKey>(
-    bucket: &Bucket,
-    scans: &[ScanColumns<'_>],
-    spill: Option<&Spill>,
-    mut each: impl FnMut(K),
-) -> Result<(), IngestError> {
-    let mut buffer = Vec::new();
-    for segment in &bucket.segments {
-        let bytes = match &segment.place {
-            Place::Memory(bytes) => bytes.as_slice(),
-            Place::Spilled { offset, bytes } => {
-                buffer.clear();
-                read_back(spill, *offset, *bytes, &mut buffer)?;
-                &buffer
-            }
-        };
-        bytes.chunks_exact(row_bytes::<K>(segment, scans)).for_each(|row| each(K::read(row)));
-    }
-    Ok(())
-}
-
-fn row_bytes<K: RowKey>(segment: &Segment, scans: &[ScanColumns<'_>]) -> usize {
-    K::BYTES + scans[segment.slot as usize].plan.layout.payload
-}
-
-/// Appends a spilled segment's bytes to `to`.
-fn read_back(spill: Option<&Spill>, offset: u64, bytes: usize, to: &mut Vec<u8>) -> Result<(), IngestError> {
-    let spill = spill.ok_or_else(|| IngestError::Internal("a spilled segment without a spill".into()))?;
-    let start = to.len();
-    to.resize(start + bytes, 0);
-    spill.read(&mut to[start..], offset)
-}
-
 /// Rows of one scan that lie together, with their keys.
 struct Run<'a> {
     slot: u32,
@@ -154,50 +130,42 @@ struct Run<'a> {
     bytes: &'a [u8],
 }
 
-/// Finds the `rows` rows of `bucket` that lie in `cube` and sorts them by (key, record bytes, attributes, scan identity).
-/// They are copied, so the bucket is no longer needed afterwards.
+/// Sorts the rows of `bucket` by (key, record bytes, attributes, scan identity). They are copied, so the bucket is no longer
+/// needed afterwards.
 pub(super) fn load<'a, K: RowKey>(
     bucket: &Bucket,
-    cube: Cube,
-    rows: u64,
     scans: &'a [ScanColumns<'a>],
     spill: Option<&Spill>,
     scratch: &'a mut LoadScratch<K>,
 ) -> Result<Loaded<'a, K>, IngestError> {
     let LoadScratch { spilled, bins, sorter, keys, order, scattered, rows: bytes } = scratch;
+    let Bucket { cube, rows, ref segments } = *bucket;
     spilled.clear();
     let mut places = Vec::new();
-    for segment in &bucket.segments {
+    for segment in segments {
         let start = spilled.len();
-        if let Place::Spilled { offset, bytes } = segment.place {
-            read_back(spill, offset, bytes, spilled)?;
-        }
+        segment.place.read_spilled(spill, spilled)?;
         places.push(start..spilled.len());
     }
     // What is read back is addressed when it no longer moves.
-    let runs = bucket.segments.iter().zip(places).map(|(segment, place)| {
+    let runs = segments.iter().zip(places).map(|(segment, place)| {
         let bytes = match &segment.place {
             Place::Memory(bytes) => bytes,
-            Place::Spilled { .. } => &spilled[place],
+            _ => &spilled[place],
         };
-        Run { slot: segment.slot, row_bytes: row_bytes::<K>(segment, scans), bytes }
+        Run { slot: segment.slot, row_bytes: segment.row_bytes::<K>(scans), bytes }
     });
     let runs: Vec<_> = runs.collect();
 
-    let all = rows == bucket.rows;
-    let (first, last) = (cube.first_key(), cube.last_key());
-    let of_bucket = bucket.cube.first_key();
-    let inside = |key: K| all || (first..=last).contains(&key.full(of_bucket));
     let too_many = || IngestError::Internal(format!("{rows} points on one place do not fit one bucket"));
     u32::try_from(rows).map_err(|_| too_many())?;
     bins.clear(cube.k(), rows as usize);
     for run in &runs {
-        run.bytes.chunks_exact(run.row_bytes).map(K::read).filter(|key| inside(*key)).for_each(|key| bins.count(key));
+        run.bytes.chunks_exact(run.row_bytes).map(K::read).for_each(|key| bins.count(key));
     }
     let count = bins.counted();
-    let slot = runs.first().map_or(0, |r| r.slot);
-    let head = if runs.iter().all(|r| r.slot == slot) { 0 } else { SLOT_BYTES };
-    let stride = head + runs.iter().map(|r| r.row_bytes - K::BYTES).max().unwrap_or(0);
+    let form = RowForm::of(runs.iter().map(|r| (r.slot, r.row_bytes - K::BYTES)));
+    let RowForm { stride, head, .. } = form;
     // Every place is overwritten; memory that was touched before is the cheapest.
     keys.resize(count, K::default());
     let needed = count.checked_mul(stride).ok_or_else(too_many)?;
@@ -211,7 +179,7 @@ pub(super) fn load<'a, K: RowKey>(
     for run in &runs {
         let payload = run.row_bytes - K::BYTES;
         let scatter = &mut scatter;
-        with_payload_words!(payload, scatter_run::<K>(run, &inside, scatter));
+        with_payload_words!(payload, scatter_run::<K>(run, scatter));
     }
     drop(runs);
     if spilled.len() > SPARE_BYTES {
@@ -223,16 +191,16 @@ pub(super) fn load<'a, K: RowKey>(
         with_payload_words!(stride, permute(stride, bin, order, from, to));
     });
     let record = |row: &[u8], out: &mut Vec<u8>| {
-        let (slot, payload) = Rows { bytes: row, stride, head, slot, scans }.row(0);
+        let (slot, payload) = Rows { bytes: row, form, scans }.row(0);
         scans[slot as usize].plan.layout.canonical_bytes(payload, out);
     };
-    let scan = |row: &[u8]| &scans[Rows { bytes: row, stride, head, slot, scans }.row(0).0 as usize];
+    let scan = |row: &[u8]| &scans[Rows { bytes: row, form, scans }.row(0).0 as usize];
     let order = |a: &[u8], b: &[u8]| {
         let (a, b) = (scan(a), scan(b));
         a.signature.cmp(&b.signature).then_with(|| a.identity.cmp(&b.identity))
     };
     settle_ties(keys, (&mut bytes[..needed], &mut scattered[..needed]), stride, record, order);
-    let rows = Rows { bytes: &bytes[..needed], stride, head, slot, scans };
+    let rows = Rows { bytes: &bytes[..needed], form, scans };
     Ok(Loaded { keys, rows })
 }
 
@@ -260,15 +228,11 @@ struct Scatter<'a, K> {
 
 fn scatter_run<K: RowKey, const WORDS: usize>(
     run: &Run<'_>,
-    inside: &impl Fn(K) -> bool,
     Scatter { bins, keys, rows, stride, head }: &mut Scatter<'_, K>,
 ) {
     let payload = run.row_bytes - K::BYTES;
     for row in run.bytes.chunks_exact(run.row_bytes) {
         let key = K::read(row);
-        if !inside(key) {
-            continue;
-        }
         let place = bins.place(key);
         keys[place] = key;
         let to = &mut rows[place * *stride..][..*head + payload];

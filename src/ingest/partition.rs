@@ -1,14 +1,17 @@
 //! From records to buckets: every row comes to the bucket of its cube, from whichever thread ([`sorter`] makes the rows).
 //!
-//! Buckets are aligned cubes of one exponent `k`, chosen from the sources' bounds. Headers may lie: where that makes too
-//! many buckets, `k` is raised while reading and the buckets so far are joined.
+//! Buckets are aligned cubes of one exponent `k`, chosen from the sources' bounds as for a surface whose points come in
+//! some order. Headers may lie, and points may fill a volume and come in none: where there are too many buckets, or what
+//! they get is too little at a time, `k` is raised while reading and the buckets so far are joined.
 
 mod sorter;
 
 pub(super) use sorter::{RowPlan, ScanTally, Sorter};
 
 use super::IngestError;
-use super::spill::Spill;
+use super::gather::ScanColumns;
+use super::rows::RowKey;
+use super::spill::{Place, Spill};
 use crate::lattice::{BITS, Cube, LOW_DIGITS, Lattice, LatticeBox};
 use std::collections::HashMap;
 use std::sync::Mutex;
@@ -22,14 +25,15 @@ const MOST_BUCKETS: usize = 1 << 15;
 pub(super) struct Segment {
     pub slot: u32,
     pub rows: u32,
+    /// Where its bytes are.
     pub place: Place,
 }
 
-/// Where a segment's bytes are.
-#[derive(Debug)]
-pub(super) enum Place {
-    Memory(Vec<u8>),
-    Spilled { offset: u64, bytes: usize },
+impl Segment {
+    /// Bytes of a row, with its key.
+    pub fn row_bytes<K: RowKey>(&self, scans: &[ScanColumns<'_>]) -> usize {
+        K::BYTES + scans[self.slot as usize].plan.layout.payload
+    }
 }
 
 /// All rows of one cube.
@@ -65,22 +69,31 @@ impl<'a> Partition<'a> {
 
     fn hand_over(&self, cube: Cube, segment: Segment) -> Result<(), IngestError> {
         let segment = match (self.spill, segment.place) {
-            (Some(spill), Place::Memory(bytes)) => {
-                let offset = spill.append(&bytes)?;
-                Segment { place: Place::Spilled { offset, bytes: bytes.len() }, ..segment }
-            }
+            (Some(spill), Place::Memory(bytes)) => Segment { place: Place::Spilled(spill.append(&bytes)?), ..segment },
             (_, place) => Segment { place, ..segment },
         };
         let mut buckets = lock(&self.buckets);
         buckets.entry(cube).or_default().push(segment);
         if buckets.len() > MOST_BUCKETS {
             let k = self.k.load(Ordering::Relaxed);
-            if k < self.largest_k {
-                self.k.store(k + 1, Ordering::Relaxed);
-                *buckets = join(std::mem::take(&mut *buckets), k + 1);
-            }
+            self.join_to(k + 1, &mut buckets);
         }
         Ok(())
+    }
+
+    /// Joins buckets eight to one, if they are still of exponent `k` and may be larger.
+    fn coarsen(&self, k: u8) {
+        let mut buckets = lock(&self.buckets);
+        if k == self.k.load(Ordering::Relaxed) {
+            self.join_to(k + 1, &mut buckets);
+        }
+    }
+
+    fn join_to(&self, k: u8, buckets: &mut HashMap<Cube, Vec<Segment>>) {
+        if k <= self.largest_k {
+            self.k.store(k, Ordering::Relaxed);
+            *buckets = join(std::mem::take(buckets), k);
+        }
     }
 
     /// The buckets in key order. Cubes are disjoint.

@@ -3,7 +3,8 @@
 //! A *bucket* is an aligned cube with its points sorted by key; the buckets of a tree are disjoint, hold all its points,
 //! and may have different exponents. [`build_bucket`] gives out all nodes inside a bucket, buckets in parallel as one
 //! likes; what belongs to nodes at or above the bucket is left over. An [`Assembler`] takes the left-overs as
-//! [`Subtree`]s in key order and gives out the nodes above. Both are pure functions of the points.
+//! [`Subtree`]s in key order and gives out the nodes above: blocks of points, which may be anywhere meanwhile. Both are
+//! pure functions of the points.
 //!
 //! What makes it work: a node of exponent `k` below the root has in its cube exactly the points with
 //! `win < k + 1 - g` that coarser nodes have not taken, so it is decided from the wins of its run alone.
@@ -12,7 +13,7 @@ mod bucket;
 mod join;
 
 pub use bucket::{BucketRest, EmittedNode, build_bucket};
-pub use join::{Assembler, Entry, OwnedNode, Subtree, assemble};
+pub use join::{Assembler, Block, OwnedNode, Subtree, WholeNode, assemble};
 
 use super::Params;
 

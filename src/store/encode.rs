@@ -3,13 +3,12 @@
 
 use super::leaders::leaders;
 use super::model::{
-    NodeHead, PartHead, Range, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanCount, ScanId, Shape, Slot, StoredAttribute,
-    Zones,
+    NodeHead, PartHead, SLOT_PACKED, SLOT_POSITION, SLOT_SCAN, ScanId, Shape, Slot, StoredAttribute, Zones,
 };
+use super::own_points::{Describer, Description, count_scans};
 use super::rows::{ChunkRow, pack};
 use super::shape::Relative;
 use super::writer::ChunkIds;
-use super::zones::{merge_ranges, range_of_all, range_where};
 use crate::codec::{BlockSize, CodecError, Encoder, Passes};
 use crate::lattice::{Cube, LatticeBox, SortKey};
 use crate::octree::PartPlan;
@@ -25,7 +24,7 @@ pub struct ScanTable {
     /// Ascending by scan.
     scans: Vec<(ScanId, ScanFacts)>,
     /// The columns of red, green and blue: there may be one of each type.
-    colors: [Vec<Slot>; 3],
+    pub(super) colors: [Vec<Slot>; 3],
     /// The columns of times.
     times: Vec<Slot>,
     /// Columns that are encoded after others, and those.
@@ -33,10 +32,10 @@ pub struct ScanTable {
 }
 
 #[derive(Clone, Debug)]
-struct ScanFacts {
+pub(super) struct ScanFacts {
     /// Ascending.
-    slots: Vec<Slot>,
-    eight_bit: bool,
+    pub slots: Vec<Slot>,
+    pub eight_bit: bool,
 }
 
 impl ScanTable {
@@ -64,7 +63,7 @@ impl ScanTable {
         }
     }
 
-    fn facts(&self, scan: ScanId) -> Option<&ScanFacts> {
+    pub(super) fn facts(&self, scan: ScanId) -> Option<&ScanFacts> {
         self.scans.binary_search_by_key(&scan, |s| s.0).ok().map(|i| &self.scans[i].1)
     }
 
@@ -133,10 +132,21 @@ pub struct NodeInput<'a, K> {
     pub keys: &'a [K],
     /// How the points are cut into parts: [`octree::split`](crate::octree::split).
     pub plan: &'a [PartPlan],
-    /// The attributes of each part's points, in the part's order.
-    pub parts: &'a [PointColumns],
     /// How the columns are cut: [`block_size`].
     pub block_size: BlockSize,
+}
+
+/// Where the attributes of a node's parts come from. They are asked for one after the other, so that a node of millions of
+/// points need not have all of them as columns at once.
+pub trait PartColumns {
+    /// The attributes of the points of part `number`, in the part's order: asked for once each, ascending.
+    fn of_part(&mut self, number: usize) -> &PointColumns;
+}
+
+impl PartColumns for &[PointColumns] {
+    fn of_part(&mut self, number: usize) -> &PointColumns {
+        &self[number]
+    }
 }
 
 /// Nodes over more points than this are cut finer.
@@ -188,17 +198,12 @@ pub struct EncodeScratch {
 /// If the parts and the keys, or the columns of a part, differ in length.
 pub fn encode_node<K: SortKey>(
     input: &NodeInput<'_, K>,
+    parts: &mut impl PartColumns,
     table: &ScanTable,
     ids: &ChunkIds,
     scratch: &mut EncodeScratch,
 ) -> Result<EncodedNode, CodecError> {
-    let NodeInput { layer, cube, leaf, children, keys, plan, parts, block_size } = *input;
-    assert!(plan.len() == parts.len(), "every part has its columns");
-    let slices: Vec<_> = parts.iter().map(PointColumns::slices).collect();
-    let Description { scans: counts, bounds, shape, zones } =
-        describe(cube, keys, &slices, table, &mut scratch.relative);
-    let zones = Zones { subtree: zones.clone(), own: zones };
-
+    let NodeInput { layer, cube, leaf, children, keys, plan, block_size } = *input;
     let base = ids.reserve(plan.len());
     let mut head = NodeHead {
         layer,
@@ -208,114 +213,89 @@ pub fn encode_node<K: SortKey>(
         own_points: keys.len() as u64,
         subtree_points: keys.len() as u64,
         subtree_nodes: 1,
-        scans: counts,
-        own_bounds: bounds,
-        subtree_bounds: bounds.unwrap_or(LatticeBox::of(cube.low())),
-        shape,
+        scans: Vec::new(),
+        own_bounds: None,
+        subtree_bounds: LatticeBox::of(cube.low()),
+        shape: Shape::default(),
         chunk_base: base,
         parts: Vec::with_capacity(plan.len()),
     };
     let mut chunks = Vec::new();
+    let mut describer = Describer::new(table);
     scratch.encoder.cut_into(block_size);
-    for (part, (plan, PointColumns { scans, columns })) in plan.iter().zip(parts).enumerate() {
-        assert!(plan.points.len() == scans.len(), "a part's columns have its length");
-        let mut pieces: Vec<(Slot, Vec<u8>)> = Vec::with_capacity(columns.len() + 2);
+    for (number, part) in plan.iter().enumerate() {
+        let columns = parts.of_part(number);
+        assert!(part.points.len() == columns.scans.len(), "a part's columns have its length");
+        describer.add(&columns.slices());
         let picked: Vec<K>;
-        let keys = if plan.points.len() == keys.len() {
+        let keys = if part.points.len() == keys.len() {
             keys
         } else {
-            picked = plan.points.iter().map(|&i| keys[i as usize]).collect();
+            picked = part.points.iter().map(|&i| keys[i as usize]).collect();
             &picked
         };
-        let present = count_scans(scans);
-        let is_there = |slot: Slot| present.iter().any(|c| table.has(c.scan, slot));
-        // Times come first: they show the passes, which positions carry and other columns are encoded by.
-        let times = columns.iter().find(|c| table.times.contains(&c.0) && is_there(c.0));
-        let mut time_bytes = Vec::new();
-        let passes = match times {
-            Some((_, times)) => scratch.encoder.times(times, cube, keys, &mut time_bytes)?,
-            None => Passes::default(),
-        };
-        let mut bytes = Vec::new();
-        scratch.encoder.positions_with(cube, keys, &passes, &mut bytes)?;
-        pieces.push((SLOT_POSITION, bytes));
-        let mut bytes = Vec::new();
-        scratch.encoder.column(&Column::U32(scans.clone()), &mut bytes)?;
-        pieces.push((SLOT_SCAN, bytes));
-        for (slot, column) in columns {
-            if !is_there(*slot) {
-                continue;
-            }
-            let mut bytes = Vec::new();
-            if times.is_some_and(|times| times.0 == *slot) {
-                bytes = std::mem::take(&mut time_bytes);
-            } else {
-                let leaders = table.leaders.iter().find(|l| l.0 == *slot).map_or(&[][..], |l| &l.1);
-                let leaders: Vec<&Column> = leaders
-                    .iter()
-                    .map_while(|l| columns.iter().find(|c| c.0 == *l && is_there(*l)).map(|c| &c.1))
-                    .collect();
-                scratch.encoder.column_after(column, &passes, &leaders, &mut bytes)?;
-            }
-            pieces.push((*slot, bytes));
-        }
+        let pieces = encode_part(cube, keys, columns, table, &mut scratch.encoder)?;
         let facts = PartHead {
-            points: plan.points.len() as u32,
+            points: part.points.len() as u32,
             block_size,
-            first_step: plan.first_step,
-            last_step: plan.last_step,
+            first_step: part.first_step,
+            last_step: part.last_step,
             chunks: Vec::new(),
             packed: Vec::new(),
             packed_bytes: 0,
         };
         head.parts.push(facts);
-        put_part(&mut head, part, pieces, &mut chunks);
+        put_part(&mut head, number, pieces, &mut chunks);
     }
+    let Description { scans, bounds, shape, zones } = describer.finish(cube, keys, &mut scratch.relative);
+    (head.scans, head.own_bounds, head.shape) = (scans, bounds, shape);
+    head.subtree_bounds = bounds.unwrap_or(head.subtree_bounds);
+    let zones = Zones { subtree: zones.clone(), own: zones };
     Ok(EncodedNode { head, zones, chunks })
 }
 
-/// What a node's row says of its own points, apart from how they are cut into parts: a function of the points alone.
-#[derive(Debug, PartialEq)]
-pub(super) struct Description {
-    pub scans: Vec<ScanCount>,
-    pub bounds: Option<LatticeBox>,
-    pub shape: Shape,
-    /// Ascending by slot.
-    pub zones: Vec<(Slot, Range)>,
-}
-
-/// Describes a node's own points: their keys in order, and the attributes of some after the other, in any order.
-pub(super) fn describe<K: SortKey>(
+/// The columns of a part, encoded, ascending by slot.
+fn encode_part<K: SortKey>(
     cube: Cube,
     keys: &[K],
-    parts: &[ColumnSlices<'_>],
+    PointColumns { scans, columns }: &PointColumns,
     table: &ScanTable,
-    relative: &mut Relative,
-) -> Description {
-    assert!(parts.iter().map(|p| p.scans.len()).sum::<usize>() == keys.len(), "the parts are all of the node");
-    let mut scans: Vec<ScanCount> = Vec::new();
-    let mut zones: Vec<(Slot, Range)> = Vec::new();
-    let mut color = ColorSum::default();
-    for part in parts {
-        assert!(part.columns.iter().all(|c| c.1.len() == part.scans.len()), "a part's columns have one length");
-        let counts = count_scans(part.scans);
-        color.add(part, table, &counts);
-        for (slot, column) in part.columns {
-            let having = counts.iter().filter(|c| table.has(c.scan, *slot)).count();
-            let range = match having {
-                0 => None,
-                n if n == counts.len() => range_of_all(column),
-                _ => range_where(column, |i| table.has(part.scans[i], *slot)),
-            };
-            if let Some(range) = range {
-                merge_ranges(&mut zones, &[(*slot, range)]);
-            }
+    encoder: &mut Encoder,
+) -> Result<Vec<(Slot, Vec<u8>)>, CodecError> {
+    let mut pieces: Vec<(Slot, Vec<u8>)> = Vec::with_capacity(columns.len() + 2);
+    let present = count_scans(scans);
+    let is_there = |slot: Slot| present.iter().any(|c| table.has(c.scan, slot));
+    // Times come first: they show the passes, which positions carry and other columns are encoded by.
+    let times = columns.iter().find(|c| table.times.contains(&c.0) && is_there(c.0));
+    let mut time_bytes = Vec::new();
+    let passes = match times {
+        Some((_, times)) => encoder.times(times, cube, keys, &mut time_bytes)?,
+        None => Passes::default(),
+    };
+    let mut bytes = Vec::new();
+    encoder.positions_with(cube, keys, &passes, &mut bytes)?;
+    pieces.push((SLOT_POSITION, bytes));
+    let mut bytes = Vec::new();
+    encoder.column(&Column::U32(scans.clone()), &mut bytes)?;
+    pieces.push((SLOT_SCAN, bytes));
+    for (slot, column) in columns {
+        if !is_there(*slot) {
+            continue;
         }
-        counts.into_iter().for_each(|count| add_count(&mut scans, count));
+        let mut bytes = Vec::new();
+        if times.is_some_and(|times| times.0 == *slot) {
+            bytes = std::mem::take(&mut time_bytes);
+        } else {
+            let leaders = table.leaders.iter().find(|l| l.0 == *slot).map_or(&[][..], |l| &l.1);
+            let leaders: Vec<&Column> = leaders
+                .iter()
+                .map_while(|l| columns.iter().find(|c| c.0 == *l && is_there(*l)).map(|c| &c.1))
+                .collect();
+            encoder.column_after(column, &passes, &leaders, &mut bytes)?;
+        }
+        pieces.push((*slot, bytes));
     }
-    relative.fill(cube, keys);
-    let shape = Shape { color: color.mean(), ..relative.shape() };
-    Description { scans, bounds: relative.bounds(cube), shape, zones }
+    Ok(pieces)
 }
 
 /// Decides which columns of the part share a row, and makes the rows. `pieces` ascend by slot.
@@ -337,77 +317,5 @@ fn put_part(head: &mut NodeHead, part: usize, pieces: Vec<(Slot, Vec<u8>)>, chun
         head.parts[part].packed = small.iter().map(|(slot, bytes)| (*slot, bytes.len() as u32)).collect();
         head.parts[part].packed_bytes = packed.len() as u32;
         chunks.push(row(head.chunk_id(part, SLOT_PACKED), SLOT_PACKED, packed));
-    }
-}
-
-/// How many points of each scan there are, ascending by scan.
-fn count_scans(scans: &[ScanId]) -> Vec<ScanCount> {
-    let mut counts: Vec<ScanCount> = Vec::new();
-    let mut add = |scan: ScanId, n: usize| add_count(&mut counts, ScanCount { scan, own: n as u64, subtree: n as u64 });
-    // In blocks, of which most are of one scan: so the compiler compares many at once.
-    for block in scans.chunks(256) {
-        if block.iter().fold(0, |d, scan| d | (scan ^ block[0])) == 0 {
-            add(block[0], block.len());
-        } else {
-            block.chunk_by(|a, b| a == b).for_each(|run| add(run[0], run.len()));
-        }
-    }
-    counts
-}
-
-fn add_count(counts: &mut Vec<ScanCount>, more: ScanCount) {
-    match counts.binary_search_by_key(&more.scan, |c| c.scan) {
-        Ok(i) => {
-            counts[i].own += more.own;
-            counts[i].subtree += more.subtree;
-        }
-        Err(i) => counts.insert(i, more),
-    }
-}
-
-/// The colours at 16 bits, added up, of the points that have all three.
-#[derive(Default)]
-struct ColorSum {
-    sums: [u64; 3],
-    points: u64,
-}
-
-impl ColorSum {
-    /// Adds points, of which `counts` says how many each scan has.
-    fn add(&mut self, part: &ColumnSlices<'_>, table: &ScanTable, counts: &[ScanCount]) {
-        let column = |slot: Slot| part.columns.iter().find(|c| c.0 == slot).map(|c| &c.1);
-        for count in counts {
-            let Some(facts) = table.facts(count.scan) else { continue };
-            let of_scan =
-                |slots: &[Slot]| slots.iter().find(|s| facts.slots.binary_search(s).is_ok()).and_then(|s| column(*s));
-            let [Some(red), Some(green), Some(blue)] = std::array::from_fn(|i| of_scan(&table.colors[i])) else {
-                continue;
-            };
-            for (sum, channel) in self.sums.iter_mut().zip([red, green, blue]) {
-                let deep = if facts.eight_bit || channel.ty() == ScalarType::U8 { 257 } else { 1 };
-                let all = counts.len() == 1;
-                let add = match channel {
-                    Column::U8(v) => sum_of(v, part.scans, count.scan, all),
-                    Column::U16(v) => sum_of(v, part.scans, count.scan, all),
-                    _ => 0,
-                };
-                *sum = sum.saturating_add(add.saturating_mul(deep));
-            }
-            self.points += count.own;
-        }
-    }
-
-    /// Rounded to the nearest, halves up.
-    fn mean(&self) -> Option<[u16; 3]> {
-        let n = self.points;
-        (n > 0).then(|| self.sums.map(|s| u16::try_from((2 * s + n) / (2 * n)).unwrap_or(u16::MAX)))
-    }
-}
-
-fn sum_of<T: Copy + Into<u64>>(values: &[T], scans: &[ScanId], scan: ScanId, all: bool) -> u64 {
-    if all {
-        values.iter().map(|&v| v.into()).sum()
-    } else {
-        values.iter().zip(scans).filter(|(_, s)| **s == scan).map(|(&v, _)| v.into()).sum()
     }
 }

@@ -27,6 +27,7 @@ pub mod model;
 mod nodes;
 #[cfg(test)]
 mod nodes_tests;
+mod own_points;
 mod place;
 mod rows;
 mod shape;
@@ -52,7 +53,8 @@ pub use describe::{
 };
 pub use digest::{Digest, Digester, digest};
 pub use encode::{
-    EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PointColumns, ScanTable, block_size, encode_node,
+    EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PartColumns, PointColumns, ScanTable, block_size,
+    encode_node,
 };
 pub use error::StoreError;
 pub use files::{SPILL_SUFFIX, spill_path};

@@ -148,10 +148,10 @@ pub fn prepare(writer: &mut Writer, mut points: Vec<Point>, before: &[Scan]) -> 
                 children: node.children,
                 keys: &keys,
                 plan: &plan,
-                parts: &columns.cut(&plan),
                 block_size: BlockSize::of_exponent(4 + node.cube.k() % 9).unwrap(),
             };
-            let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
+            let EncodedNode { mut head, mut zones, chunks } =
+                encode_node(&input, &mut &columns.cut(&plan)[..], &table, &ids, &mut scratch).unwrap();
             writer.put_chunks(&chunks).unwrap();
             let children: Vec<Summary> = (0..8)
                 .filter(|o| node.children >> o & 1 == 1)

@@ -166,15 +166,15 @@ impl<'a> Job<'_, 'a> {
         let scattered = Scattered::new(points);
         let scan = |point: &Point<'_>| self.ground.scans.id(point.place());
         let parts: Vec<_> = plan.iter().map(|part| scattered.columns(&part.points, scan)).collect();
-        let (layer, plan, parts, block_size) = (self.nodes.layer, &plan[..], &parts[..], block_size(rem));
+        let (layer, plan, mut parts, block_size) = (self.nodes.layer, &plan[..], &parts[..], block_size(rem));
         let encoded = self.scratches.lend(|scratch| {
             if cube.k() <= LOW_DIGITS {
                 let keys: Vec<u64> = keys.iter().map(|key| key.low).collect();
-                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts, block_size };
-                encode_node(&input, self.ground.table, self.ids, scratch)
+                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, block_size };
+                encode_node(&input, &mut parts, self.ground.table, self.ids, scratch)
             } else {
-                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, parts, block_size };
-                encode_node(&input, self.ground.table, self.ids, scratch)
+                let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan, block_size };
+                encode_node(&input, &mut parts, self.ground.table, self.ids, scratch)
             }
         });
         (self.sink)(encoded.map_err(|e| IngestError::Internal(format!("node {cube:?}: {e}")))?)

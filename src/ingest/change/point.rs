@@ -260,7 +260,7 @@ impl NewPoints {
         order: &Arc<ScanOrder>,
     ) -> Result<Self, IngestError> {
         let block = |(scratch, gatherer): &mut (LoadScratch<K>, Scratch), bucket: &Bucket| {
-            let Loaded { keys, rows } = load(bucket, bucket.cube, bucket.rows, sources, None, scratch)?;
+            let Loaded { keys, rows } = load(bucket, sources, None, scratch)?;
             let mut found = PointColumns::default();
             let rows_in_order: Vec<u32> = (0..).take(keys.len()).collect();
             gather(sources, &rows_in_order, rows, gatherer, &mut found);

@@ -1,9 +1,10 @@
 //! One thread's work on one scan: records come in, are moved to the lattice and keyed, and leave as rows in the buffers of their
 //! buckets.
 
-use super::{Partition, Place, Segment};
+use super::{Partition, Segment};
 use crate::ingest::IngestError;
 use crate::ingest::rows::{RowKey, copy_payload, with_payload_words};
+use crate::ingest::spill::Place;
 use crate::lattice::{BITS, Cube, LOW_DIGITS, LatticeBox, LatticePoint, SourceMap};
 use crate::points::{FieldKind, PositionKind, RecordLayout, ScalarType};
 use crate::store::model::Rejected;
@@ -97,11 +98,23 @@ pub struct Sorter<'a, 'b> {
     recent: [usize; RECENT],
     current: usize,
     open_bytes: usize,
+    /// What was handed over since `k` was looked at.
+    handed: Handed,
     tally: ScanTally,
     min: [u64; 3],
     max: [u64; 3],
     block: Block,
 }
+
+/// Segments and their bytes.
+#[derive(Clone, Copy, Debug, Default)]
+struct Handed {
+    segments: usize,
+    bytes: usize,
+}
+
+/// Segments of fewer bytes on average are too small: each takes memory of its own, and a call to be read back.
+const LEAST_SEGMENT_BYTES: usize = 2 << 10;
 
 /// Records that are looked at together.
 const BLOCK: usize = 256;
@@ -127,6 +140,7 @@ impl<'a, 'b> Sorter<'a, 'b> {
             recent: [usize::MAX; RECENT],
             current: usize::MAX,
             open_bytes: 0,
+            handed: Handed::default(),
             tally: ScanTally::default(),
             min: [u64::MAX; 3],
             max: [0; 3],
@@ -141,6 +155,12 @@ impl Sorter<'_, '_> {
         with_payload_words!(self.plan.layout.payload, take_run::<K>(self, records))?;
         if self.open_bytes > most_open_bytes {
             self.flush()?;
+            // Points that come in no order fill all buckets at once; then fewer are better.
+            let Handed { segments, bytes } = std::mem::take(&mut self.handed);
+            if bytes < segments * LEAST_SEGMENT_BYTES {
+                self.partition.coarsen(self.k);
+            }
+            self.k = self.partition.k.load(Ordering::Relaxed);
         }
         Ok(())
     }
@@ -372,7 +392,9 @@ impl Sorter<'_, '_> {
         }
     }
 
-    fn hand_over(&self, corner: [u64; 3], rows: u32, bytes: Vec<u8>) -> Result<(), IngestError> {
+    fn hand_over(&mut self, corner: [u64; 3], rows: u32, bytes: Vec<u8>) -> Result<(), IngestError> {
+        self.handed.segments += 1;
+        self.handed.bytes += bytes.len();
         let cube = Cube::containing(LatticePoint(corner.map(|c| c << self.k)), self.k);
         self.partition.hand_over(cube, Segment { slot: self.plan.slot, rows, place: Place::Memory(bytes) })
     }
@@ -480,7 +502,7 @@ mod tests {
         let rows = partition.finish().into_iter().map(|bucket| {
             let bytes = bucket.segments.iter().flat_map(|s| match &s.place {
                 Place::Memory(bytes) => bytes.chunks_exact(8 + plan.layout.payload).map(<[u8]>::to_vec),
-                Place::Spilled { .. } => panic!("nothing is spilled"),
+                _ => panic!("nothing is spilled"),
             });
             let mut rows: Vec<_> = bytes.collect();
             assert_eq!(rows.len() as u64, bucket.rows);
@@ -516,7 +538,7 @@ mod tests {
                 }
                 records.extend((0..payload).map(|_| next() as u8));
             }
-            let fast = partitioned(&lattice, &plan, k, |sorter| sorter.take::<u64>(&records, 1 << 20).unwrap());
+            let fast = partitioned(&lattice, &plan, k, |sorter| sorter.take::<u64>(&records, usize::MAX).unwrap());
             let naive = partitioned(&lattice, &plan, k, |sorter| {
                 sorter.take_one_by_one::<u64, 0>(&records).unwrap();
                 sorter.tally.read = n as u64;
@@ -525,5 +547,33 @@ mod tests {
             prop_assert_eq!(fast.0.read, n as u64);
             prop_assert!(fast.1 == naive.1);
         }
+    }
+    // In a volume of 20 million points in no order, most segments were of a single row, and took more memory than the rows.
+    #[test]
+    fn points_in_no_order_come_to_fewer_and_larger_buckets() {
+        let lattice = Lattice::uniform(0.01).unwrap();
+        let plan = plan(&lattice, [0.0; 3], 9);
+        let mut state = 1_u64;
+        let mut records = Vec::new();
+        let n = 60_000;
+        for i in 0..n {
+            for _ in 0..3 {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                records.extend(((state >> 44) as i32).to_le_bytes());
+            }
+            records.extend([i as u8; 9]);
+        }
+        // Cubes of 2^16 steps: 4096 of them, of which a buffer each is much more than what may be open.
+        let partition = Partition::new(&lattice, None, 16, false);
+        let mut sorter = partition.sorter(&plan);
+        for piece in records.chunks(1000 * plan.layout.stride()) {
+            sorter.take::<u64>(piece, 256 << 10).unwrap();
+        }
+        assert_eq!(sorter.finish().unwrap().stored, n);
+        let buckets = partition.finish();
+        assert_eq!(buckets.iter().map(|b| b.rows).sum::<u64>(), n);
+        assert!(buckets.iter().all(|b| b.cube.k() > 17), "8 to 64 times as large");
+        let segments: usize = buckets.iter().map(|b| b.segments.len()).sum();
+        assert!(segments < n as usize / 20, "{segments} segments");
     }
 }

@@ -28,6 +28,23 @@ pub struct BucketRest {
     pub points: Vec<u32>,
 }
 
+impl BucketRest {
+    /// The points by the node that will store them: what each of its points wins at the largest, as in
+    /// [`Block::win`](super::Block::win), ascending, and the points. `wins` are the bucket's, and `cube` is its cube.
+    pub fn by_node(&self, cube: Cube, wins: &[i8], params: Params) -> impl Iterator<Item = (i8, Vec<u32>)> + use<> {
+        let least = params.cell(cube.k());
+        let mut of_win: Vec<Vec<u32>> = Vec::new();
+        for &i in &self.points {
+            let place = usize::from(wins[i as usize].max(least).abs_diff(least));
+            if of_win.len() <= place {
+                of_win.resize_with(place + 1, Vec::new);
+            }
+            of_win[place].push(i);
+        }
+        (least..=i8::MAX).zip(of_win).filter(|(_, points)| !points.is_empty())
+    }
+}
+
 /// Gives out the nodes of a bucket and returns the rest.
 ///
 /// `keys` are sorted and all inside `cube`; `wins` are theirs with respect to the whole tree ([`super::super::wins`] with

@@ -1,16 +1,17 @@
 //! The nodes above the buckets: subtrees joined in key order.
 
-use super::{Params, Place, bucket::BucketRest, build_bucket};
+use super::{Params, Place, build_bucket};
 use crate::lattice::{Cube, Key, LOW_DIGITS};
 use crate::octree::{first_win, wins};
 
-/// A point on its way up.
+/// Points of one bucket that one node above it will store, in key order, on their way up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Entry<T> {
-    /// Its full key.
-    pub key: Key,
-    /// The exponent of the largest cell that it wins.
+pub struct Block<T> {
+    /// The exponent of the largest cell that each of them wins. If that is a cell of the bucket's own node, the points
+    /// may also be such that win a smaller one only.
     pub win: i8,
+    /// How many they are.
+    pub points: u64,
     /// What the caller carries.
     pub item: T,
 }
@@ -22,15 +23,8 @@ pub struct Subtree<T> {
     pub cube: Cube,
     /// The remaining points of the cube's own node, if it was given out.
     pub built: Option<u64>,
-    /// The points not stored in any node given out, in key order.
-    pub entries: Vec<Entry<T>>,
-}
-
-impl<T> Subtree<T> {
-    /// The left-over of a bucket, its points taken over through `entry`.
-    pub fn from_bucket(cube: Cube, rest: &BucketRest, entry: impl FnMut(u32) -> Entry<T>) -> Self {
-        Self { cube, built: rest.built, entries: rest.points.iter().copied().map(entry).collect() }
-    }
+    /// The points not stored in any node given out: bucket after bucket in key order, those of a bucket by ascending wins.
+    pub blocks: Vec<Block<T>>,
 }
 
 /// A node above the buckets, given out after all of its children.
@@ -44,14 +38,15 @@ pub struct OwnedNode<T> {
     pub children: u8,
     /// Points stored here or below.
     pub rem: u64,
-    /// Its own points, in key order.
-    pub entries: Vec<Entry<T>>,
+    /// Its own points: bucket after bucket in key order. Of those of one bucket several blocks may have to be merged; of
+    /// equal keys the one with the largest win is the first, and the others are all in one block.
+    pub blocks: Vec<Block<T>>,
 }
 
 /// Joins subtrees, given in key order, up to the root.
 ///
-/// At any time it holds the points that belong above what was given, and at most `leaf_capacity` waiting points for each
-/// open cube.
+/// At any time it holds the blocks of points that belong above what was given, and those with the at most `leaf_capacity`
+/// waiting points of each open cube.
 #[derive(Debug)]
 pub struct Assembler<T> {
     root: Cube,
@@ -115,33 +110,48 @@ fn combine<T>(
 ) -> Subtree<T> {
     let k = cube.k();
     let taken = place.taken(k, params);
-    let waiting = |s: &Subtree<T>| s.entries.iter().filter(|e| e.win < taken).count() as u64;
+    let waiting = |s: &Subtree<T>| s.blocks.iter().filter(|b| b.win < taken).map(|b| b.points).sum::<u64>();
     let rem = children.iter().map(|s| s.built.unwrap_or(0) + waiting(s)).sum();
     let leaf = params.is_leaf(k, rem);
     let waits = rem <= u64::from(params.leaf_capacity) || k < params.g;
     let mut mask = 0;
-    let mut entries = Vec::new();
+    let mut blocks = Vec::new();
     for mut child in children {
         let mut present = child.built.is_some();
         if !leaf && !present {
             // Its parent is no leaf, so it is a node: a leaf, because it waited.
-            let (own, above): (Vec<_>, _) = child.entries.into_iter().partition(|e| e.win < params.cell(k));
-            child.entries = above;
+            let (own, above): (Vec<_>, _) = child.blocks.into_iter().partition(|b| b.win < params.cell(k));
+            child.blocks = above;
             present = !own.is_empty();
             if present {
-                let rem = own.len() as u64;
-                emit(OwnedNode { cube: child.cube, leaf: true, children: 0, rem, entries: own });
+                let rem = own.iter().map(|b| b.points).sum();
+                emit(OwnedNode { cube: child.cube, leaf: true, children: 0, rem, blocks: own });
             }
         }
         mask |= u8::from(present) << child.cube.octant();
-        if entries.is_empty() { entries = child.entries } else { entries.append(&mut child.entries) }
+        blocks.append(&mut child.blocks);
     }
     if rem == 0 || place == Place::Below && waits {
-        return Subtree { cube, built: None, entries };
+        return Subtree { cube, built: None, blocks };
     }
-    let (own, above) = entries.into_iter().partition(|e| e.win < taken);
-    emit(OwnedNode { cube, leaf, children: mask, rem, entries: own });
-    Subtree { cube, built: Some(rem), entries: above }
+    let (own, above) = blocks.into_iter().partition(|b| b.win < taken);
+    emit(OwnedNode { cube, leaf, children: mask, rem, blocks: own });
+    Subtree { cube, built: Some(rem), blocks: above }
+}
+
+/// A node of [`assemble`], given out after all of its children.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WholeNode<T> {
+    /// The cube.
+    pub cube: Cube,
+    /// Does it store everything that remains in its cube?
+    pub leaf: bool,
+    /// Bit `octant` is set where there is a child.
+    pub children: u8,
+    /// Points stored here or below.
+    pub rem: u64,
+    /// Its own points, in key order.
+    pub points: Vec<(Key, T)>,
 }
 
 /// Builds a whole tree in memory from buckets in key order, each with its points sorted by key: the reference of how
@@ -157,38 +167,47 @@ pub fn assemble<T: Copy>(
     root: Cube,
     buckets: impl IntoIterator<Item = (Cube, Vec<(Key, T)>)>,
     params: Params,
-    mut emit: impl FnMut(OwnedNode<T>),
+    mut emit: impl FnMut(WholeNode<T>),
 ) {
+    // Points with their wins.
+    let whole = |OwnedNode { cube, leaf, children, rem, blocks }: OwnedNode<Vec<(Key, i8, T)>>| {
+        let mut points: Vec<_> = blocks.into_iter().flat_map(|b| b.item).collect();
+        points.sort_by_key(|&(key, win, _)| (key, std::cmp::Reverse(win)));
+        let points = points.into_iter().map(|(key, _, item)| (key, item)).collect();
+        WholeNode { cube, leaf, children, rem, points }
+    };
     let mut assembler = Assembler::new(root, params);
     let mut previous = None;
     for (cube, points) in buckets.into_iter().filter(|(_, points)| !points.is_empty()) {
-        let whole = cube.contains_cube(root);
-        let (cube, place) = if whole { (root, Place::Root) } else { (cube, Place::Below) };
+        let is_root = cube.contains_cube(root);
+        let (cube, place) = if is_root { (root, Place::Root) } else { (cube, Place::Below) };
         let first = first_win(previous.replace(cube), cube, root);
         let keys: Vec<Key> = points.iter().map(|p| p.0).collect();
-        let entry = |wins: &[i8], i: u32| {
-            let (key, item) = points[i as usize];
-            Entry { key, win: wins[i as usize], item }
-        };
-        let mut owned = |wins: &[i8], node: super::EmittedNode| {
-            let entries = node.points.iter().map(|&i| entry(wins, i)).collect();
-            emit(OwnedNode { cube: node.cube, leaf: node.leaf, children: node.children, rem: node.rem, entries });
+        let mut owned = |node: super::EmittedNode| {
+            let super::EmittedNode { cube, leaf, children, rem, points: own } = node;
+            let points = own.iter().map(|&i| points[i as usize]).collect();
+            emit(WholeNode { cube, leaf, children, rem, points });
         };
         let (wins, rest) = if cube.k() <= LOW_DIGITS {
             let keys: Vec<u64> = keys.iter().map(|k| k.low).collect();
             let wins = wins(&keys, first);
-            let rest = build_bucket(cube, &keys, &wins, place, params, |node| owned(&wins, node));
+            let rest = build_bucket(cube, &keys, &wins, place, params, &mut owned);
             (wins, rest)
         } else {
             let wins = wins(&keys, first);
-            let rest = build_bucket(cube, &keys, &wins, place, params, |node| owned(&wins, node));
+            let rest = build_bucket(cube, &keys, &wins, place, params, &mut owned);
             (wins, rest)
         };
-        if !whole {
-            assembler.push(Subtree::from_bucket(cube, &rest, |i| entry(&wins, i)), &mut emit);
+        if !is_root {
+            let block = |(win, own): (i8, Vec<u32>)| {
+                let point = |&i: &u32| (keys[i as usize], wins[i as usize], points[i as usize].1);
+                Block { win, points: own.len() as u64, item: own.iter().map(point).collect() }
+            };
+            let blocks = rest.by_node(cube, &wins, params).map(block).collect();
+            assembler.push(Subtree { cube, built: rest.built, blocks }, &mut |node| emit(whole(node)));
         }
     }
-    assembler.finish(&mut emit);
+    assembler.finish(&mut |node| emit(whole(node)));
 }
 
 #[cfg(test)]
@@ -243,10 +262,9 @@ mod tests {
                 }
             }
             assert_eq!(children, node.children, "children come before their parent, and the mask names them");
-            assert!(node.entries.windows(2).all(|w| w[0].key <= w[1].key));
-            let mut own: Vec<_> = node.entries.iter().map(|e| (e.key, e.item)).collect();
-            own.sort();
-            assert!(nodes.insert(node.cube.node_key(), (node.leaf, node.rem, own)).is_none());
+            // Equal keys are in the order in which they were given, too.
+            assert!(node.points.is_sorted());
+            assert!(nodes.insert(node.cube.node_key(), (node.leaf, node.rem, node.points)).is_none());
         });
         nodes
     }

@@ -164,8 +164,9 @@ fn fill(store: &Store, layers: &[Vec<Point>], params: Params, hidden: Option<Sca
             let least = [4, 16, LEAST_PART_POINTS][usize::from(cube.k()) % 3];
             let plan = split_at_least(&wins, &steps(&keys, &wins), least);
             let parts = columns.cut(&plan);
-            let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, parts: &parts, block_size };
-            let EncodedNode { mut head, mut zones, chunks } = encode_node(&input, &table, &ids, &mut scratch).unwrap();
+            let input = NodeInput { layer, cube, leaf, children, keys: &keys, plan: &plan, block_size };
+            let EncodedNode { mut head, mut zones, chunks } =
+                encode_node(&input, &mut &parts[..], &table, &ids, &mut scratch).unwrap();
             summaries.insert(cube, merge_subtree(&mut head, &mut zones, &below));
             writer.put_chunks(&chunks).unwrap();
             nodes.push((head, zones));

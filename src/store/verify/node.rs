@@ -1,8 +1,9 @@
 //! One node: its chunks decode, and its row and zone maps say of its points what is true.
 
 use super::super::decode::{DecodedPart, decode_part};
-use super::super::encode::{ColumnSlices, Description, ScanTable, describe};
+use super::super::encode::{ColumnSlices, ScanTable};
 use super::super::model::{NodeHead, ScanId, Slot, Zones};
+use super::super::own_points::{Describer, Description};
 use super::super::rows;
 use super::super::shape::Relative;
 use super::super::snapshot::Snapshot;
@@ -117,13 +118,14 @@ impl<'a> Checker<'a> {
 
     /// What the row and the zone maps should say.
     fn describe(&self, head: &NodeHead, parts: &[DecodedPart], scratch: &mut Scratch) -> Description {
-        let slices: Vec<_> = parts.iter().map(|p| ColumnSlices { scans: &p.scans, columns: &p.columns }).collect();
+        let mut describer = Describer::new(&self.table);
+        parts.iter().for_each(|p| describer.add(&ColumnSlices { scans: &p.scans, columns: &p.columns }));
         if head.cube.k() <= LOW_DIGITS {
             let keys = merged(parts, |key| key.low);
-            describe(head.cube, &keys, &slices, &self.table, &mut scratch.relative)
+            describer.finish(head.cube, &keys, &mut scratch.relative)
         } else {
             let keys = merged(parts, |key| key);
-            describe(head.cube, &keys, &slices, &self.table, &mut scratch.relative)
+            describer.finish(head.cube, &keys, &mut scratch.relative)
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Memory and temporary files: the budget is kept, the prediction is honest, nothing is left, the result is the same.
 
-use crate::support::{TinyLas, esker, esker_ok};
+use crate::support::{Random, TinyLas, esker, esker_ok};
 use serde_json::Value;
 
 fn ingest(store: &str, input: &str, memory: &str) -> Value {
@@ -40,6 +40,31 @@ fn twenty_million_points_fit_a_quarter_gibibyte() {
     let peak = spilled["peak_memory_bytes"].as_u64().unwrap();
     assert!(peak < 450 << 20, "{} MiB", peak >> 20);
     assert_eq!(spilled["points"], 20_000_000);
+}
+
+/// A volume has coarse nodes of up to two million points, of which everything that was below took a gibibyte while it waited.
+#[test]
+fn points_that_fill_a_volume_keep_to_their_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (mut file, mut random) = (TinyLas::new(3), Random(7));
+    for _ in 0..2_000_000 {
+        let xyz = [0; 3].map(|_| (random.next() % 20_000) as i32);
+        file.push(xyz, random.next());
+    }
+    std::fs::write(path("cube.las"), file.bytes()).unwrap();
+    drop(file);
+    let spilled = ingest(&path("spilled.esker"), &path("cube.las"), "16MiB");
+    let (used, predicted) =
+        (spilled["temp_bytes"].as_u64().unwrap(), spilled["temp_bytes_predicted"].as_u64().unwrap());
+    assert!(used > 0 && used <= predicted && predicted <= 2 * used, "{used} of {predicted}");
+    // A node of a million points while it is encoded; it was three times as much.
+    let peak = spilled["peak_memory_bytes"].as_u64().unwrap();
+    assert!(peak < 200 << 20, "{} MiB", peak >> 20);
+    ingest(&path("whole.esker"), &path("cube.las"), "2GiB");
+    let digest = |store: &str| esker_ok(&["digest", &path(store)]);
+    assert_eq!(digest("whole.esker"), digest("spilled.esker"));
+    assert!(esker_ok(&["verify", &path("spilled.esker"), "--deep"]).starts_with("whole"));
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! What goes to stdout and stderr, and how errors read.
 
+use crate::points::Number;
 use std::io::{self, Write};
 
 /// The error and its causes on one line, without saying anything twice. What is wrong with a filter keeps its second and
@@ -63,6 +64,24 @@ pub(super) fn agreeing(n: u64, what: &str, [one, many]: [&str; 2]) -> String {
     format!("{} {}", counted(n, what), if n == 1 { one } else { many })
 }
 
+/// A number for people: floats far from one with an exponent.
+pub(super) fn number(n: Number) -> String {
+    match n {
+        Number::Float(v) if is_far(v) => format!("{v:e}"),
+        _ => n.to_string(),
+    }
+}
+
+/// A mean, to six digits behind the point.
+pub(super) fn mean(v: f64) -> String {
+    if is_far(v) { format!("{v:.6e}") } else { format!("{v:.6}") }
+}
+
+/// Is it easier to read with an exponent?
+fn is_far(v: f64) -> bool {
+    v.is_finite() && v != 0.0 && !(1e-5..1e16).contains(&v.abs())
+}
+
 /// A size for people: `12.3 MiB`.
 pub(super) fn bytes(n: u64) -> String {
     let mut value = n as f64;
@@ -95,6 +114,14 @@ mod tests {
         assert_eq!(grouped(1_234_567), "1,234,567");
         assert_eq!([0, 1, 2000].map(|n| counted(n, "node")), ["0 nodes", "1 node", "2,000 nodes"]);
         assert_eq!([1, 2].map(|n| agreeing(n, "point", ["lies", "lie"])), ["1 point lies", "2 points lie"]);
+        let shown = |v: f64| [number(Number::Float(v)), mean(v)];
+        assert_eq!(shown(0.0), ["0", "0.000000"]);
+        assert_eq!(shown(-1234.5), ["-1234.5", "-1234.500000"]);
+        assert_eq!(shown(1e15), ["1000000000000000", "1000000000000000.000000"]);
+        assert_eq!(shown(-1.7976931348623157e308), ["-1.7976931348623157e308", "-1.797693e308"]);
+        assert_eq!(shown(2.5e-40), ["2.5e-40", "2.500000e-40"]);
+        assert_eq!(shown(f64::INFINITY), ["inf", "inf"]);
+        assert_eq!(number(Number::Unsigned(u64::MAX)), "18446744073709551615");
         assert_eq!(bytes(1023), "1023 B");
         assert_eq!(bytes(1536), "1.5 KiB");
         assert_eq!(clean("a\u{1b}[31m\n"), "a\u{fffd}[31m\u{fffd}");

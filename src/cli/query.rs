@@ -332,14 +332,14 @@ fn print_summary(answer: &Answer, summary: &[AttributeSummary]) -> std::io::Resu
         return Ok(());
     }
     output::line(format_args!("{:32} {:>18} {:>18} {:>18} {:>14}", "attribute", "min", "max", "mean", "values"))?;
-    let number = |v: Option<Number>| v.map_or_else(|| "-".to_owned(), |v| v.to_string());
+    let number = |v: Option<Number>| v.map_or_else(|| "-".to_owned(), output::number);
     for a in summary {
         output::line(format_args!(
             "{:32} {:>18} {:>18} {:>18} {:>14}",
             output::clean(&a.name),
             number(a.min),
             number(a.max),
-            a.mean.map_or_else(|| "-".to_owned(), |v| format!("{v:.6}")),
+            a.mean.map_or_else(|| "-".to_owned(), output::mean),
             output::grouped(a.count)
         ))?;
     }

@@ -341,9 +341,11 @@ impl Running {
     }
 
     fn summary(&self, name: &str, ty: &'static str) -> AttributeSummary {
-        let some = |v: f64| (self.count > 0 && v.is_finite()).then_some(v);
+        let some = |v: f64| (self.count > 0 && !v.is_nan()).then_some(v);
         let (min, max) = (some(self.min).map(Number::Float), some(self.max).map(Number::Float));
-        let mean = some(self.mean);
+        // The mean of infinite values is theirs, in whatever order they came; of both signs there is none.
+        let infinite: f64 = [self.min, self.max].into_iter().filter(|v| v.is_infinite()).sum();
+        let mean = some(if infinite == 0.0 { self.mean } else { infinite });
         AttributeSummary { name: name.into(), ty, count: self.count, min, max, mean }
     }
 }
@@ -432,10 +434,17 @@ mod tests {
         let mut both = large;
         both.add(&of(&[-f64::MAX; 5000]));
         assert!(both.mean.abs() < f64::MAX * 1e-12, "{both:?}");
-        // Infinite values have no mean, and the least is told.
-        let infinite = of(&[1.0, f64::INFINITY, 3.0]).summary("a", "f64");
-        let told = (infinite.count, infinite.min, infinite.max, infinite.mean);
-        assert_eq!(told, (3, Some(Number::Float(1.0)), None, None));
+        // Infinite values are told as such, and of both signs have no mean.
+        let up = f64::INFINITY;
+        for (values, [min, max], mean) in [
+            ([1.0, up, 3.0], [1.0, up], Some(up)),
+            ([-up, 2.0, f64::NAN], [-up, 2.0], Some(-up)),
+            ([up, 0.0, -up], [-up, up], None),
+        ] {
+            let told = of(&values).summary("a", "f64");
+            assert_eq!((told.min, told.max), (Some(Number::Float(min)), Some(Number::Float(max))));
+            assert_eq!(told.mean, mean, "{values:?}");
+        }
         assert_eq!(of(&[f64::NAN; 9]), Running::EMPTY);
     }
 

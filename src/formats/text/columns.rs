@@ -1,5 +1,6 @@
 //! Which column is what: by a header line, by what the user says, or by their number; and the type of each.
 
+use super::number::MOST_EXACT;
 use super::survey::Column;
 use crate::formats::names::attribute_name;
 use crate::points::ScalarType::{self, F32, F64, I16, I32, I64, U8, U16, U64};
@@ -182,13 +183,9 @@ impl Kinds {
     }
 }
 
-/// Integers below are what they were as an f64.
-const MOST_EXACT: f64 = 9_007_199_254_740_992.0;
-
-/// Does it hold numbers of more digits than its type keeps?
+/// Does it hold numbers of more digits than its type gives back?
 pub fn is_rounded(column: &Column, ty: ScalarType) -> bool {
-    let wide = column.wide.is_some() || column.largest_mantissa > MOST_EXACT as u64;
-    ty.is_float() && wide
+    ty.is_float() && column.rounded
 }
 
 /// Does it hold numbers, and nothing else?
@@ -216,7 +213,7 @@ fn attribute(name: &str, column: &Column) -> (String, ScalarType) {
 /// The type that a LAS dimension has, if it has one and the values fit.
 fn customary(name: &str, column: &Column) -> Option<ScalarType> {
     // An integer of more digits than an f64 has stays one, whatever it is called.
-    if column.plain && column.absent == 0 && column.min.abs().max(column.max.abs()) >= MOST_EXACT {
+    if column.plain && column.absent == 0 && column.min.abs().max(column.max.abs()) >= MOST_EXACT as f64 {
         return None;
     }
     if is_normal(name) {

@@ -40,6 +40,24 @@ impl Digits {
     }
 }
 
+/// Whole numbers up to this are floats of 64 bits.
+pub const MOST_EXACT: u64 = 1 << 53;
+
+/// Does the float that a decimal was read as, written with as many digits, give that decimal again? Numbers that a program
+/// wrote with 17 digits so that they would do; most with more don't.
+pub fn comes_back(word: &[u8], value: f64) -> bool {
+    let end = word.iter().position(|b| matches!(b, b'e' | b'E')).unwrap_or(word.len());
+    let digits: Vec<u8> = word[..end].iter().copied().filter(u8::is_ascii_digit).collect();
+    let Some(first) = digits.iter().position(|&d| d != b'0') else { return true };
+    let last = digits.iter().rposition(|&d| d != b'0').unwrap_or(first);
+    let digits = &digits[first..=last];
+    if digits.len() <= 15 || !value.is_finite() {
+        return true;
+    }
+    let written = format!("{:.*e}", digits.len() - 1, value);
+    written.bytes().take_while(|&b| b != b'e').filter(u8::is_ascii_digit).eq(digits.iter().copied())
+}
+
 /// Reads a number; a comma is a point where `comma` says so. Empty words and `NA` are NaN.
 #[inline]
 pub fn parse(word: &[u8], comma: bool) -> Option<Number> {

@@ -1,7 +1,7 @@
 //! What the rows of a file hold: how many there are, and what is known of each column.
 
 use super::lines::{Line, Lines};
-use super::number::{Number, parse};
+use super::number::{MOST_EXACT, Number, comes_back, parse};
 use super::words::{Separator, is_comment};
 use crate::formats::FormatError;
 use crate::formats::file::SourceFile;
@@ -43,6 +43,8 @@ pub struct Column {
     pub decimals: u8,
     /// The largest mantissa, trailing zeros left out, of the decimal ones.
     pub largest_mantissa: u64,
+    /// Has a number more digits than an `f64` gives back?
+    pub rounded: bool,
     pub min: f64,
     pub max: f64,
 }
@@ -59,6 +61,7 @@ impl Default for Column {
             decimal: true,
             decimals: 0,
             largest_mantissa: 0,
+            rounded: false,
             min: f64::INFINITY,
             max: f64::NEG_INFINITY,
         }
@@ -84,11 +87,13 @@ impl Column {
                 }
                 self.decimals = self.decimals.max(decimals);
                 self.largest_mantissa = self.largest_mantissa.max(mantissa);
+                self.rounded |= mantissa > MOST_EXACT && !self.rounded && !comes_back(word, number.value);
                 self.whole &= decimals == 0;
                 self.plain &= !digits.pointed;
             }
             None => {
                 self.decimal = false;
+                self.rounded |= !self.rounded && !comes_back(word, number.value);
                 match std::str::from_utf8(word).ok().and_then(|w| w.parse::<i128>().ok()) {
                     Some(whole) => self.widen((whole, whole)),
                     None => self.plain = false,
@@ -116,6 +121,7 @@ impl Column {
         self.decimal &= other.decimal;
         self.decimals = self.decimals.max(other.decimals);
         self.largest_mantissa = self.largest_mantissa.max(other.largest_mantissa);
+        self.rounded |= other.rounded;
         self.min = self.min.min(other.min);
         self.max = self.max.max(other.max);
     }

@@ -110,6 +110,15 @@ impl Edge {
         }
     }
 
+    /// Does a line from the point to the right meet the edge? One that lies wholly to the right is met for sure.
+    #[inline]
+    fn is_crossed(&self, axes: &[Axis; 2], p: [u64; 2], (x, y): (i128, i128)) -> bool {
+        self.active.0 <= y
+            && y < self.active.1
+            && self.reach[0].1 >= x
+            && (x < self.reach[0].0 || self.side(axes, p) == Ordering::Greater)
+    }
+
     /// Can the edge have a place in common with the closed box? `false` is certain.
     fn touches(&self, axes: &[Axis; 2], bounds: &LatticeBox) -> bool {
         for i in 0..2 {
@@ -188,18 +197,41 @@ impl Polygon {
         }
         let Some(row) = self.row(y) else { return false };
         let x = i128::from(p[0]);
-        let mut inside = false;
-        for edge in self.edges_of_row(row) {
-            // A line to the right meets the edge; one that lies wholly to the right is met for sure.
-            if edge.active.0 <= y
-                && y < edge.active.1
-                && edge.reach[0].1 >= x
-                && (x < edge.reach[0].0 || edge.side(axes, p) == Ordering::Greater)
-            {
-                inside = !inside;
+        self.edges_of_row(row).filter(|edge| edge.is_crossed(axes, p, (x, y))).count() % 2 == 1
+    }
+
+    /// What decides about `points` points between these indices of x and of y, if looking for it is less work than testing each
+    /// against the edges of its row.
+    fn near(&self, points: usize, [xs, ys]: [(i128, i128); 2]) -> Option<Near<'_>> {
+        let last = self.rows.len().saturating_sub(2) as i128;
+        let row_of = |y: i128| ((y - self.first_row) >> self.shift).clamp(0, last);
+        let (first_row, last_row) = (row_of(ys.0), row_of(ys.1));
+        if (last_row - first_row + 1) * ROW_POINTS > points as i128 {
+            return None;
+        }
+        let mut near = Near { edges: Vec::new(), inside: false, turns: Vec::new() };
+        for row in first_row..=last_row {
+            // An edge is in several rows: it is taken in the first.
+            let begins = |e: &&Edge| row == first_row || row_of(e.reach[1].0.min(e.reach[1].1)) == row;
+            let active = |e: &&Edge| e.active.0 <= ys.1 && ys.0 < e.active.1;
+            for edge in self.edges_of_row(row as usize).filter(active).filter(begins) {
+                if edge.reach[0].1 < xs.0 {
+                    // On the left of all.
+                } else if edge.reach[0].1 >= xs.1 && xs.1 < edge.reach[0].0 {
+                    for turn in [edge.active.0, edge.active.1] {
+                        if turn <= ys.0 {
+                            near.inside = !near.inside;
+                        } else if turn <= ys.1 {
+                            near.turns.push(turn);
+                        }
+                    }
+                } else {
+                    near.edges.push(edge);
+                }
             }
         }
-        inside
+        near.turns.sort_unstable();
+        Some(near)
     }
 
     fn classify(&self, axes: &[Axis; 2], bounds: &LatticeBox) -> Containment {
@@ -220,6 +252,29 @@ impl Polygon {
         if self.contains(axes, [x, y]) { Containment::Inside } else { Containment::Outside }
     }
 }
+
+/// What is needed of a polygon for points that lie together: of tens of thousands of edges at their height most are on one
+/// side of all of them.
+struct Near<'p> {
+    /// Edges that may be on either side.
+    edges: Vec<&'p Edge>,
+    /// Is the least y inside, as far as the edges on the right of all points decide it?
+    inside: bool,
+    /// Where that turns, ascending.
+    turns: Vec<i128>,
+}
+
+impl Near<'_> {
+    fn contains(&self, axes: &[Axis; 2], p: [u64; 2]) -> bool {
+        let (x, y) = (i128::from(p[0]), i128::from(p[1]));
+        let crossed = self.edges.iter().filter(|edge| edge.is_crossed(axes, p, (x, y))).count();
+        let turned = self.turns.partition_point(|turn| *turn <= y);
+        self.inside ^ ((crossed + turned) % 2 == 1)
+    }
+}
+
+/// Going through the edges of a row costs as much as testing so many points against them.
+const ROW_POINTS: i128 = 4;
 
 impl Prism {
     /// The prism over `polygons` at heights `[min, max)`.
@@ -287,10 +342,15 @@ impl Prism {
         };
         let spans = [span(&positions.x), span(&positions.y)];
         let near = |p: &&Polygon| (0..2).all(|i| p.bounds[i].0 <= spans[i].1 && spans[i].0 <= p.bounds[i].1);
-        let polygons: Vec<&Polygon> = self.polygons.iter().filter(near).collect();
-        Mask::where_index(positions.len(), |i| {
-            (first..=last).contains(&positions.z[i])
-                && polygons.iter().any(|p| p.contains(&self.axes, [positions.x[i], positions.y[i]]))
-        })
+        let at_height = |i: usize| (first..=last).contains(&positions.z[i]);
+        let polygons = self.polygons.iter().filter(near);
+        let polygons: Vec<_> = polygons.map(|p| (p, p.near(positions.len(), spans))).collect();
+        let inside = |p: [u64; 2]| {
+            polygons.iter().any(|(polygon, near)| match near {
+                Some(near) => polygon.within_bounds(p) && near.contains(&self.axes, p),
+                None => polygon.contains(&self.axes, p),
+            })
+        };
+        Mask::where_index(positions.len(), |i| at_height(i) && inside([positions.x[i], positions.y[i]]))
     }
 }

@@ -4,6 +4,7 @@ use super::*;
 use crate::geometry::Containment;
 use crate::lattice::{BIAS, Lattice, LatticeBox, LatticePoint};
 use proptest::prelude::*;
+use std::collections::BTreeMap;
 
 /// Even and odd, ring by ring, in the units of the polygon; only for lattices whose steps are whole units.
 pub(crate) fn naive(area: &Polygons, lattice: &Lattice, p: LatticePoint) -> bool {
@@ -53,7 +54,8 @@ fn vertex() -> impl Strategy<Value = [i64; 2]> {
 }
 
 fn ring() -> impl Strategy<Value = Vec<[i64; 2]>> {
-    prop::collection::vec(vertex(), 3..9).prop_filter("three places", |ring| {
+    let size = prop_oneof![4 => 3..9_usize, 1 => 20..80_usize];
+    size.prop_flat_map(|n| prop::collection::vec(vertex(), n)).prop_filter("three places", |ring| {
         let world: Vec<[f64; 2]> = ring.iter().map(|v| v.map(|c| c as f64)).collect();
         exact_ring(&world).is_ok()
     })
@@ -84,6 +86,17 @@ proptest! {
         for (i, &p) in points.iter().enumerate() {
             prop_assert_eq!(prism.contains(p), expected[i], "{:?}", p);
             prop_assert_eq!(mask.contains(i), expected[i]);
+        }
+        // Few that lie together, of which most edges are on one side.
+        let mut tiles = BTreeMap::<_, Vec<usize>>::new();
+        for i in 0..4900 {
+            tiles.entry((i % 70 / 7, i / 70 / 5)).or_default().push(i);
+        }
+        for tile in tiles.values() {
+            let mask = prism.test(&tile.iter().map(|&i| points[i]).collect());
+            for (place, &i) in tile.iter().enumerate() {
+                prop_assert_eq!(mask.contains(place), expected[i], "{:?} in a tile", points[i]);
+            }
         }
         let mut boxes: Vec<LatticeBox> = corners.windows(2).map(|w| LatticeBox::of(at(w[0])).with(at(w[1]))).collect();
         // Small ones, which are often wholly inside or outside, and one over everything.

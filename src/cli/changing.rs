@@ -8,9 +8,9 @@ use clap::Args;
 #[derive(Debug, Args)]
 pub(super) struct Changing {
     /// Memory to use at most, such as 512MiB or 4GiB (default: a quarter of the machine's).
-    #[arg(long, value_name = "SIZE", value_parser = values::size)]
+    #[arg(long, value_name = "SIZE", value_parser = values::memory)]
     pub memory: Option<u64>,
-    /// Threads (default: one per core).
+    /// Threads (default: one per core, or for each 32 MiB of memory if these are fewer).
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
     /// Wait while another process is writing to the store, instead of failing.

@@ -43,9 +43,9 @@ pub(super) struct Arguments {
     lattice: Option<PathBuf>,
     /// Memory to use at most, such as 512MiB or 4GiB (default: a quarter of the machine's); the rest goes through a
     /// temporary file beside the store.
-    #[arg(long, value_name = "SIZE", value_parser = values::size)]
+    #[arg(long, value_name = "SIZE", value_parser = values::memory)]
     memory: Option<u64>,
-    /// Threads (default: one per core).
+    /// Threads (default: one per core, or for each 32 MiB of memory if these are fewer).
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// The inputs' CRS, instead of what they say: EPSG:N or WKT.

@@ -233,9 +233,6 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
             }
         }
         Some((path, format)) => {
-            if arguments.scale.is_some() && !matches!(format, OutputFormat::Las | OutputFormat::Laz) {
-                bail!("--scale is for LAS and LAZ: in other forms coordinates have no grid of their own");
-            }
             let target = if path == Path::new("-") { Target::StandardOutput } else { Target::File(path) };
             let options = ExportOptions {
                 format: Some(format),
@@ -316,7 +313,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
     };
     if on_faces > 0 {
         eprintln!(
-            "esker: {} on the box's maximum faces and {} not taken; --closed takes {}",
+            "esker: {} on the region's maximum faces and {} not taken; --closed takes {}",
             output::agreeing(on_faces, "point", ["lies", "lie"]),
             if on_faces == 1 { "is" } else { "are" },
             if on_faces == 1 { "it" } else { "them" }

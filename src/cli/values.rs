@@ -21,6 +21,14 @@ pub(super) fn size(text: &str) -> Result<u64, String> {
     Ok(bytes as u64)
 }
 
+/// A size that a command can do with.
+pub(super) fn memory(text: &str) -> Result<u64, String> {
+    match size(text)? {
+        bytes if bytes < 1 << 20 => Err("1MiB is the least".to_owned()),
+        bytes => Ok(bytes),
+    }
+}
+
 /// Numbers separated by commas; `inf` and `-inf` are numbers, NaN is not.
 pub(super) fn numbers(text: &str) -> Result<Vec<f64>, String> {
     text.split(',')
@@ -114,6 +122,7 @@ mod tests {
         assert_eq!(size("64MiB"), Ok(64 << 20));
         assert_eq!(size("1.5g"), Ok(3 << 29));
         assert_eq!(size("1000"), Ok(1000));
+        assert!(memory("1MiB").is_ok() && memory("1000K").is_err() && memory("64").is_err());
         assert!(size("0").is_err() && size("-1M").is_err() && size("1X").is_err() && size("").is_err());
     }
 

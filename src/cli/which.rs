@@ -43,7 +43,12 @@ impl Which {
 pub(super) fn tell_why_nothing(snapshot: &Snapshot, region: &Region, scans: &[String]) -> anyhow::Result<()> {
     let lattice = &snapshot.site().lattice;
     let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
-    if let Some(bounds) = bounds
+    if let Some(axis) = region.empty_axis() {
+        eprintln!(
+            "esker: the region has no extent on {}: it holds nothing without its maximum faces; --closed takes these, too",
+            ["x", "y", "z"][axis]
+        );
+    } else if let Some(bounds) = bounds
         && region.on_lattice(lattice)?.classify(&bounds) == Containment::Outside
     {
         let WorldBounds { min, max } = WorldBounds::new(lattice, &bounds);

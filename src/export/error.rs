@@ -29,8 +29,9 @@ pub enum ExportError {
     },
     /// LAS has 32 bits for a coordinate.
     #[error(
-        "the points are {width} units wide on axis {axis}, too wide for 32-bit coordinates in steps of {scale}; give a \
-         coarser scale, a smaller region, or split by scan"
+        "the points are {width} units wide on {}, too wide for 32-bit coordinates in steps of {scale}; give a \
+         coarser scale, a smaller region, or split by scan",
+        ["x", "y", "z"][*axis]
     )]
     TooWide {
         /// How wide, in CRS units.
@@ -40,6 +41,9 @@ pub enum ExportError {
         /// The step.
         scale: f64,
     },
+    /// A scale for a form without a grid.
+    #[error("a scale is for LAS and LAZ: in other forms coordinates have no grid of their own")]
+    ScaleOfNoGrid,
     /// The scale that was asked for is none.
     #[error("a scale of {scale} is not usable: it must be a positive number")]
     Scale {

@@ -65,7 +65,9 @@ impl Meeting {
         let brighten = Kinds::of(snapshot, &form.scans).brightened().to_vec();
         let is_there = |a: &Attribute| a.ty == ScalarType::U16 && has_depth(a);
         if !brighten.is_empty() && attributes.iter().any(is_there) {
-            notes.push("colours of 8 and of 16 bits meet: all are written with 16".to_owned());
+            notes.push(
+                "colours of 8 and of 16 bits meet, in their values or their fields: all are written with 16".to_owned(),
+            );
         }
         Self { attributes: attributes.into(), notes, made, kinds, brighten }
     }

@@ -6,6 +6,7 @@ mod frame;
 mod joined;
 mod meeting;
 mod plan;
+mod returns;
 mod split;
 
 pub use error::ExportError;
@@ -229,12 +230,13 @@ fn begin(
 impl Shape {
     /// Must it be known which scan a point is of?
     fn needs_scans(&self) -> bool {
-        self.planned.meeting.needs_scans()
+        self.planned.meeting.needs_scans() || !self.planned.without_returns.is_empty()
     }
 
     /// Makes the points of a batch what the file has.
     fn apply(&self, batch: &mut Batch) -> Result<(), ExportError> {
         self.planned.meeting.apply(batch);
+        self.planned.without_returns.apply(batch);
         self.frame.as_ref().map_or(Ok(()), |frame| frame.apply(batch))
     }
 }

@@ -1,5 +1,6 @@
 //! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
 
+use super::returns::{RETURNS, WithoutReturns};
 use super::{ExportError, Meeting};
 use crate::formats::las::crs_of;
 use crate::formats::{LasTarget, OutputFormat, OutputPlan};
@@ -17,6 +18,8 @@ pub struct Planned {
     pub plan: OutputPlan,
     /// What is done to each batch before it is written.
     pub meeting: Meeting,
+    /// In LAS, where only some of the scans tell returns.
+    pub without_returns: WithoutReturns,
     /// Are all GPS times adjusted standard ones?
     pub standard_gps_time: bool,
     /// What a user should know.
@@ -27,7 +30,7 @@ pub struct Planned {
 ///
 /// # Errors
 ///
-/// [`ExportError::TooWide`], [`ExportError::Scale`].
+/// [`ExportError::TooWide`], [`ExportError::Scale`], [`ExportError::ScaleOfNoGrid`].
 pub fn plan<'s>(
     snapshot: &'s Snapshot,
     form: &OutputForm,
@@ -38,6 +41,9 @@ pub fn plan<'s>(
     let is_step = |step: &f64| *step > 0.0 && step.is_finite();
     if let Some(scale) = scale.into_iter().flatten().find(|step| !is_step(step)) {
         return Err(ExportError::Scale { scale });
+    }
+    if scale.is_some() && !is_las(format) {
+        return Err(ExportError::ScaleOfNoGrid);
     }
     let scans: Vec<&Scan> = form.scans.iter().filter_map(|&id| snapshot.scan(id)).collect();
     let site = snapshot.site();
@@ -70,11 +76,16 @@ pub fn plan<'s>(
         s.attributes.iter().filter_map(|&slot| snapshot.attribute(slot)).map(|a| &*a.attribute.name).collect()
     };
     let names: Vec<HashSet<&str>> = scans.iter().map(names_of).collect();
+    let has_no_returns = |names: &HashSet<&str>| !RETURNS.iter().any(|name| names.contains(name));
+    let without = scans.iter().zip(&names).filter(|(_, names)| has_no_returns(names)).map(|(scan, _)| scan.id);
+    let without_returns = WithoutReturns::of(&meeting.attributes, without.filter(|_| is_las(format)).collect());
+    notes.extend(without_returns.note());
     for (what, has_no_data) in [("0", false), ("no data", true)] {
         let attributes = meeting.attributes.iter().filter(|a| a.no_data.is_some() == has_no_data);
         let mut lacking: Vec<&str> = attributes.map(|a| &*a.name).collect();
         let having = |name: &&str| names.iter().filter(|names| names.contains(name)).count();
         lacking.retain(|name| (1..scans.len()).contains(&having(name)));
+        lacking.retain(|name| without_returns.is_empty() || !RETURNS.contains(name));
         lacking.dedup();
         if !lacking.is_empty() {
             notes.push(format!("some of the scans have no {}: their points have {what} there", lacking.join(", ")));
@@ -99,6 +110,7 @@ pub fn plan<'s>(
             las: target,
         },
         meeting,
+        without_returns,
         standard_gps_time: standard > 0 && standard == timed.len(),
         notes,
     })
@@ -199,7 +211,11 @@ fn merged(
     let mut offset = [0.0; 3];
     for axis in 0..3 {
         let around = |b: &LatticeBox| offset_for(snapshot, axis, b.min.0[axis], b.max.0[axis], scale[axis]);
-        let width = (answer.max.0[axis] - answer.min.0[axis]) as f64 * quantum[axis];
+        let steps = i128::from(answer.max.0[axis] - answer.min.0[axis]);
+        let step = lattice.quantum()[axis];
+        let width = steps
+            .checked_mul(step.mantissa())
+            .map_or(steps as f64 * quantum[axis], |mantissa| Decimal::new(mantissa, step.exponent()).to_f64());
         let found = around(&bounds).or_else(|| around(&answer));
         offset[axis] = found.ok_or(ExportError::TooWide { width, axis, scale: scale[axis] })?;
     }

@@ -347,7 +347,10 @@ mod tests {
         assert!(message("a.las", b"hello, world").contains("at byte 0: expected the signature `LASF`"));
         assert!(message("a.ply", b"hello").contains("found `hello`"));
         assert!(message("a.e57", b"hello").contains("expected the signature `ASTM-E57`"));
-        assert!(message("a.e57", b"ASTM-E57 and more").contains("expected an E57 file, found Failed to read E57"));
+        assert!(
+            message("a.e57", b"ASTM-E57 and more")
+                .contains("expected an E57 file, found what its reader refuses: Failed to read E57")
+        );
         assert!(message("a.pcd", b"1 2 3\n").contains("expected a PCD header"));
         assert!(message("a.ptx", b"1 2 3\n").contains("expected two counts and a transform"));
         assert!(

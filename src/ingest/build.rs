@@ -97,6 +97,10 @@ pub(super) fn build<K: RowKey>(plan: &Plan<'_>, buckets: Vec<Bucket>) -> Result<
             let bucket = bucket.ok_or_else(|| IngestError::Internal("a bucket was taken twice".into()))?;
             let previous = number.checked_sub(1).map(|i| jobs[i].cube);
             let left = worker.run(previous, bucket, &mut scratch)?;
+            if job.rows > plan.most_rows {
+                // What it took is not needed again.
+                scratch = JobScratch::default();
+            }
             plan.progress.advance(job.rows);
             if let Some(subtree) = left {
                 let ready = advance(&joiner, number, subtree);
@@ -222,6 +226,9 @@ impl<'a> Worker<'a> {
         scratch: &mut JobScratch<K>,
     ) -> Result<Option<Subtree<Held>>, IngestError> {
         let plan = self.plan;
+        // So many points at one place: one such job at a time where memory is short.
+        let is_large = plan.spill.is_some() && bucket.rows > plan.most_rows;
+        let _one = is_large.then(|| plan.large.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
         let JobScratch { load: load_scratch, wins, node: own } = scratch;
         let cube = bucket.cube;
         let Loaded { keys, rows } = load::<K>(&bucket, plan.scans, plan.spill, load_scratch)?;

@@ -17,7 +17,7 @@ const ASK_AGAIN: Duration = Duration::from_millis(200);
 pub struct Resources {
     /// Memory to use at most; `None` for a quarter of the machine's.
     pub memory_bytes: Option<u64>,
-    /// Threads; `None` for one per core.
+    /// Threads; `None` for one per core, but no more than one for 32 MiB of memory, or two.
     pub threads: Option<usize>,
     /// Wait for a store that another process is writing to, instead of failing.
     pub wait: bool,
@@ -39,11 +39,11 @@ impl Context<'_> {
         progress: &dyn Progress,
         work: impl FnOnce(&Context<'_>) -> Result<R, IngestError> + Send,
     ) -> Result<R, IngestError> {
-        let threads = resources.threads.unwrap_or_else(default_threads).max(1);
+        let memory = resources.memory_bytes.unwrap_or_else(default_memory);
+        let threads = resources.threads.unwrap_or_else(|| default_threads(memory)).max(1);
         if threads > MOST_THREADS {
             return Err(IngestError::TooManyThreads { asked: threads, most: MOST_THREADS });
         }
-        let memory = resources.memory_bytes.unwrap_or_else(default_memory);
         // Temporary files lie beside the store itself.
         let path = &*followed(path);
         let context = Context { path, memory, threads, wait: resources.wait, progress };

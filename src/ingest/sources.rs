@@ -79,7 +79,11 @@ pub(super) fn open(
     if options.name.as_ref().is_some_and(|name| name.trim().is_empty()) {
         return Err(IngestError::NoName);
     }
-    let listed = formats::list_inputs(inputs, options.recursive)?;
+    let (there, missing): (Vec<_>, Vec<_>) =
+        inputs.iter().cloned().partition(|path| !options.keep_going || std::fs::metadata(path).is_ok());
+    // If nothing is there, the first is an error as without the option.
+    let (there, missing) = if there.is_empty() { (inputs.to_vec(), Vec::new()) } else { (there, missing) };
+    let listed = formats::list_inputs(&there, options.recursive)?;
     let mut skipped: Vec<_> = listed
         .skipped
         .iter()
@@ -90,7 +94,12 @@ pub(super) fn open(
         return Err(IngestError::NoInput(hint.into()));
     }
     let poses = poses(&listed.files, options)?;
-    let (mut opened, mut unreadable) = (Vec::new(), Vec::new());
+    let why = |path: PathBuf| {
+        let listed = formats::list_inputs(std::slice::from_ref(&path), false);
+        listed.err().map(|error| (path, IngestError::from(error)))
+    };
+    let mut unreadable: Vec<_> = missing.into_iter().filter_map(why).collect();
+    let mut opened = Vec::new();
     for (path, pose) in listed.files.into_iter().zip(poses) {
         match open_file(&path, pose, options) {
             Ok(of_file) => opened.extend(of_file),

@@ -141,6 +141,14 @@ fn inputs_that_cannot_be_read_are_left_out_where_that_is_asked_for() {
         esker_fails(&["ingest", &place.path("s.esker"), alone, "--keep-going"], 1, &[name]);
         place.nothing_there("s.esker");
     }
+    // One that is not there is left out like the others, beside one that is.
+    let (missing, beside) = (place.path("8_none.las"), place.path("beside.esker"));
+    esker_fails(&["ingest", &beside, &good[2], &missing], 1, &["8_none.las", "--keep-going"]);
+    esker_fails(&["ingest", &beside, &missing, "--keep-going"], 1, &["8_none.las"]);
+    let output = esker(&["ingest", &beside, &missing, &good[2], "--keep-going"]);
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(3) && words.contains("left out: ") && words.contains("8_none.las"), "{words}");
+    assert_eq!(esker_ok(&["query", &beside, "--count"]).trim(), "20000");
     // What is cut is damaged under --strict alone.
     let whole = fs::read(&good[0]).unwrap();
     let cut = place.write("cut.las", &whole[..whole.len() / 2]);

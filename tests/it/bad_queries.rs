@@ -22,15 +22,18 @@ fn regions_are_refused_with_the_place_and_the_reason() {
     let refused = |arguments: &[&str], words: &[&str]| {
         esker_fails(&[&["query", store.as_str(), "--count"], arguments].concat(), 1, words);
     };
-    refused(&["--box", "10,0,5,5"], &["x from 10 to 5", "smaller number first"]);
-    refused(&["--box", "nan,0,5,5"], &["\"nan\" is not a number"]);
-    refused(&["--box", "1,2,3"], &["4 numbers", "there are 3"]);
-    refused(&["--box", "a,2,3,4"], &["\"a\" is not a number"]);
-    refused(&["--sphere", "1,2,3,-4"], &["radius", "-4"]);
-    refused(&["--sphere", "1,2,inf,4"], &["finite"]);
-    refused(&["--obox", "1,2,3,4,-5,6,0"], &["-5", "0 or more"]);
-    refused(&["--obox", "1,2,3,4"], &["7 numbers"]);
-    refused(&["--z", "5,1"], &["z from 5 to 1"]);
+    let misspelt = |arguments: &[&str], words: &[&str]| {
+        esker_fails(&[&["query", store.as_str(), "--count"], arguments].concat(), 2, words);
+    };
+    misspelt(&["--box", "10,0,5,5"], &["x from 10 to 5", "smaller number first"]);
+    misspelt(&["--box", "nan,0,5,5"], &["\"nan\" is not a number"]);
+    misspelt(&["--box", "1,2,3"], &["4 numbers", "there are 3"]);
+    misspelt(&["--box", "a,2,3,4"], &["\"a\" is not a number"]);
+    misspelt(&["--sphere", "1,2,3,-4"], &["radius", "-4"]);
+    misspelt(&["--sphere", "1,2,inf,4"], &["finite"]);
+    misspelt(&["--obox", "1,2,3,4,-5,6,0"], &["-5", "0 or more"]);
+    misspelt(&["--obox", "1,2,3,4"], &["7 numbers"]);
+    misspelt(&["--z", "5,1"], &["z from 5 to 1"]);
     refused(&["--polygon", "POLYGON((0 0, 10 0, 10 x, 0 0))"], &["column 24", "\"x\""]);
     refused(&["--polygon", "POLYGON((0 0, 10 0, 10 10)"], &["column 27", "the end"]);
     refused(&["--polygon", "POINT(1 2)"], &["column 1", "found POINT", "expected POLYGON"]);

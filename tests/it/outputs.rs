@@ -49,7 +49,7 @@ fn what_las_cannot_hold_goes_out_in_other_forms() {
         1,
         &["'copc.laz' is no ending that Esker writes"],
     );
-    esker_fails(&["query", &store, "--scale", "1", "-o", &at("scaled.csv")], 1, &["--scale is for LAS and LAZ"]);
+    esker_fails(&["query", &store, "--scale", "1", "-o", &at("scaled.csv")], 1, &["a scale is for LAS and LAZ"]);
     assert!(!fs::exists(at("scaled.csv")).unwrap());
 }
 
@@ -294,12 +294,64 @@ fn the_word_on_maximum_faces_counts_what_matches() {
             assert!(output.status.success());
             String::from_utf8(output.stderr).unwrap()
         };
-        assert!(told(&[]).contains("4 points lie on the box's maximum faces"), "{detail:?}: {}", told(&[]));
+        assert!(told(&[]).contains("4 points lie on the region's maximum faces"), "{detail:?}: {}", told(&[]));
         let one = told(&["--where", "Classification = 1"]);
-        assert!(one.contains("1 point lies on the box's maximum faces"), "{detail:?}: {one}");
+        assert!(one.contains("1 point lies on the region's maximum faces"), "{detail:?}: {one}");
         let one = told(&["--scan", "b"]);
-        assert!(one.contains("1 point lies on the box's maximum faces"), "{detail:?}: {one}");
+        assert!(one.contains("1 point lies on the region's maximum faces"), "{detail:?}: {one}");
         let none = told(&["--where", "Classification = 1", "--scan", "b"]);
         assert!(!none.contains("faces"), "{detail:?}: {none}");
     }
+    // Without an extent a box holds nothing, wherever it is; it was said to lie outside.
+    for (option, region, axis) in [("--box", "0,1,2,1", "y"), ("--box", "2,0,2,9", "x"), ("--z", "0,0", "z")] {
+        let output = esker(&["query", &store, option, region, "--count"]);
+        let words = String::from_utf8(output.stderr).unwrap();
+        assert!(output.stdout == b"0\n" && words.contains(&format!("no extent on {axis}")), "{words}");
+        assert!(!words.contains("outside the site"), "{words}");
+        assert_ne!(esker_ok(&["query", &store, option, region, "--count", "--closed"]), "0\n");
+    }
+    esker_fails(&["query", &store, "--box", "a,b,c,d"], 2, &["--box"]);
+    esker_fails(&["query", &store, "--z", "495"], 2, &["MIN,MAX"]);
+}
+
+/// Points of a scan without returns were return 0 of 0 beside another one's, which readers of first or last returns drop.
+#[test]
+fn points_without_returns_are_the_only_one_in_las_beside_others_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut with = TinyLas::new(1);
+    (0..500).for_each(|i| with.push([i * 100, 300, 0], i as u64));
+    // Of one point the file itself says 0 of 0: that is kept.
+    let mut bytes = with.bytes();
+    bytes[227 + 14] = 0;
+    fs::write(at("with.las"), bytes).unwrap();
+    let rows: String = (0..300).map(|i| format!("{i},7,0\n")).collect();
+    fs::write(at("without.csv"), format!("x,y,z\n{rows}")).unwrap();
+    let store = at("s.esker");
+    esker_ok(&["ingest", &store, &at("with.las"), &at("without.csv"), "--quantum", "0.01"]);
+    for extra in [&[][..], &["--where", "Y > 5"], &["--attributes", "ReturnNumber,NumberOfReturns"]] {
+        let las = at("out.las");
+        let output = esker(&[&["query", &store, "-o", &las, "--force"], extra].concat());
+        let words = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            output.status.success() && words.contains("have no returns: their points are return 1 of 1"),
+            "{words}"
+        );
+        assert!(!words.contains("ReturnNumber"), "{words}");
+        let file = fs::read(&las).unwrap();
+        let (start, size) = (u32::from_le_bytes(file[96..100].try_into().unwrap()) as usize, file[105] as usize);
+        let format = file[104] & 63;
+        let of = |record: &[u8]| {
+            if format < 6 { (record[14] & 7, record[14] >> 3 & 7) } else { (record[14] & 15, record[14] >> 4) }
+        };
+        let all: Vec<_> = file[start..].chunks_exact(size).map(of).collect();
+        let blank = all.iter().filter(|r| **r == (0, 0)).count();
+        let (points, zeros) = if extra.contains(&"Y > 5") { (300, 0) } else { (800, 1) };
+        assert_eq!((all.len(), blank), (points, zeros), "{extra:?}");
+        assert!(all.iter().all(|r| *r == (1, 1) || *r == (0, 0)), "{extra:?}");
+    }
+    // Other forms have what is there: nothing.
+    let text =
+        esker_ok(&["query", &store, "--where", "Y > 5", "--attributes", "ReturnNumber", "-o", "-", "--format", "csv"]);
+    assert!(text.lines().skip(1).all(|line| line.ends_with(",0")), "{text}");
 }

@@ -151,6 +151,13 @@ fn neighbours_and_densities_come_out_of_the_shell() {
     fs::remove_file(path("utm.asc")).unwrap();
     esker_fails(&["density", &utm, "--side", "2", "-o", &path("utm.asc")], 1, &["utm.prj", "--force"]);
     assert!(!fs::exists(path("utm.asc")).unwrap());
+    // One of another site would say where this one is: it goes, where it may.
+    fs::write(path("density.prj"), wkt).unwrap();
+    fs::remove_file(&grid).unwrap();
+    esker_fails(&["density", &store, "--side", "2", "-o", &grid], 1, &["density.prj", "--force"]);
+    assert!(!fs::exists(&grid).unwrap() && fs::exists(path("density.prj")).unwrap());
+    esker_ok(&["density", &store, "--side", "2", "-o", &grid, "--force"]);
+    assert!(fs::exists(&grid).unwrap() && !fs::exists(path("density.prj")).unwrap());
     esker_fails(&["density", &store, "--side", "0"], 2, &["positive"]);
     esker_fails(&["density", &store, "--side", "2", "-o", &path("a.tif")], 1, &["'tif'", ".asc"]);
     esker_fails(&["density", &store, "--side", "1e-7"], 1, &["2^28"]);

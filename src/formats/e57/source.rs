@@ -234,7 +234,7 @@ fn damage(file: &SourceFile, place: &AtomicU64, of: &str, error: &e57::Error) ->
     if found.contains("invalid checksum") {
         return file.malformed(offset, format!("a page of {of} with the right checksum (CRC)"), "another checksum");
     }
-    file.malformed(offset, of, found)
+    file.malformed(offset, of, format!("what its reader refuses: {found}"))
 }
 
 /// The system's own error, if that is what stopped the crate.

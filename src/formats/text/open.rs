@@ -95,7 +95,7 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
             survey.columns.len()
         )
     });
-    let commas = (comma && separator == Separator::Blank).then(|| "commas are taken as decimal points".to_owned());
+    let commas = (comma && separator != Separator::Byte(b';')).then(|| "commas are taken as decimal points".to_owned());
     let kinds = Kinds::of(&roles, [survey.columns.as_slice()]);
     let rows = Rows { file, format: "text", place, survey, announced };
     let mut source = TextSource::new(rows, &roles, &kinds, false);

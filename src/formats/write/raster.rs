@@ -43,7 +43,7 @@ pub struct Raster<'a> {
 }
 
 /// Writes a raster to a file, which appears when it is complete, or with `-` to the standard output. A grid has its CRS in a
-/// file beside it, which ends in `.prj`.
+/// file beside it, which ends in `.prj`; without a CRS one that is there is removed, if it may be replaced.
 ///
 /// # Errors
 ///
@@ -51,8 +51,11 @@ pub struct Raster<'a> {
 pub fn write_raster(path: &Path, format: RasterFormat, raster: &Raster, force: bool) -> Result<(), FormatError> {
     let (destination, file) =
         if path == Path::new("-") { Destination::standard_output()? } else { Destination::file(path, force)? };
-    let beside = raster.wkt.filter(|_| format == RasterFormat::Asc && path != Path::new("-"));
-    let crs = beside.map(|wkt| Ok((Destination::file(&path.with_extension("prj"), force)?, wkt))).transpose()?;
+    // Without a CRS there must be no such file either, which would say another one.
+    let is_grid = format == RasterFormat::Asc && path != Path::new("-");
+    let beside = path.with_extension("prj");
+    let needs_place = is_grid && (raster.wkt.is_some() || beside.exists());
+    let crs = needs_place.then(|| Destination::file(&beside, force)).transpose()?;
     let mut out = BufWriter::new(file);
     let written = match format {
         RasterFormat::Asc => raster.write_asc(&mut out),
@@ -60,9 +63,15 @@ pub fn write_raster(path: &Path, format: RasterFormat, raster: &Raster, force: b
     };
     let file = written.and_then(|()| out.into_inner().map_err(std::io::IntoInnerError::into_error));
     let file = file.map_err(|e| destination.error("writing", e))?;
-    if let Some(((beside, mut file), wkt)) = crs {
-        writeln!(file, "{wkt}").map_err(|e| beside.error("writing", e))?;
-        beside.finish(file)?;
+    match (crs, raster.wkt) {
+        (Some((place, mut file)), Some(wkt)) => {
+            writeln!(file, "{wkt}").map_err(|e| place.error("writing", e))?;
+            place.finish(file)?;
+        }
+        (Some((place, _)), None) => {
+            std::fs::remove_file(&beside).map_err(|e| place.error("removing", e))?;
+        }
+        (None, _) => {}
     }
     destination.finish(file)
 }

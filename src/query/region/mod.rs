@@ -181,6 +181,12 @@ impl Region {
         Self::Not(Box::new(self))
     }
 
+    /// The axis on which a box ends where it begins, so that it holds nothing without its maximum faces.
+    pub(crate) fn empty_axis(&self) -> Option<usize> {
+        let Self::Box { min, max } = self else { return None };
+        (0..3).find(|&axis| min[axis] == max[axis])
+    }
+
     /// The same with the maximum faces of its boxes: a box is one lattice step larger where points can lie exactly on a face, a
     /// turned one has all its faces. Other shapes, and boxes in an inverted region, stay as they are.
     #[must_use]

@@ -13,7 +13,8 @@ pub(super) fn integrity(connection: &Connection) -> Result<Vec<Finding>, RowErro
     let messages = statement.query_map([], |row| row.get::<_, String>(0))?;
     let mut findings = Vec::new();
     for message in messages {
-        let what = message?;
+        // Several lines in one row.
+        let what = message?.lines().collect::<Vec<_>>().join("; ");
         if what != "ok" {
             findings.push(Finding { table: "SQLite".into(), key: "structure of the file".into(), what });
         }

@@ -273,7 +273,7 @@ class Reader:
         decoded, report = self._reader.query(options)
         answer = Answer(decoded, masked, report)
         if answer.region_misses_site:
-            warnings.warn("the region lies outside the site", EskerWarning, stacklevel=2)
+            warnings.warn("the region lies outside the site, or has no extent", EskerWarning, stacklevel=2)
         return answer
 
     def batches(self, size: int = 1_000_000, **keywords: Unpack[QueryKeywords]) -> Batches:
@@ -402,7 +402,7 @@ class Reader:
             _log.warning("%s", note)
         answer = json.loads(report)
         if answer["region_misses_site"]:
-            warnings.warn("the region lies outside the site", EskerWarning, stacklevel=2)
+            warnings.warn("the region lies outside the site, or has no extent", EskerWarning, stacklevel=2)
         return answer
 
     def verify(self, deep: bool = False) -> Dict[str, Any]:

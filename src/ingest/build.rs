@@ -31,13 +31,13 @@ pub(super) struct Plan<'a> {
     pub table: &'a ScanTable,
     pub ids: &'a ChunkIds,
     pub spill: Option<&'a Spill>,
-    /// Buckets with more rows than this are worked through cube by cube.
+    /// Buckets with more rows than this are cut.
     pub most_rows: u64,
     /// What the run may use.
     pub memory: u64,
     pub threads: usize,
     pub progress: &'a dyn Progress,
-    /// Held while a large node is encoded.
+    /// Held by who takes much memory: for a large node, or for many points at one place.
     pub large: Mutex<()>,
     /// Takes finished nodes, from any thread.
     pub sink: Sink<'a>,

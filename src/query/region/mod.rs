@@ -181,8 +181,8 @@ impl Region {
         Self::Not(Box::new(self))
     }
 
-    /// The axis on which a box ends where it begins, so that it holds nothing without its maximum faces.
-    pub(crate) fn empty_axis(&self) -> Option<usize> {
+    /// The axis, 0 to 2, on which a box ends where it begins, so that it holds nothing without its maximum faces.
+    pub fn empty_axis(&self) -> Option<usize> {
         let Self::Box { min, max } = self else { return None };
         (0..3).find(|&axis| min[axis] == max[axis])
     }

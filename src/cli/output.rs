@@ -119,6 +119,7 @@ mod tests {
         assert_eq!(shown(-1234.5), ["-1234.5", "-1234.500000"]);
         assert_eq!(shown(1e15), ["1000000000000000", "1000000000000000.000000"]);
         assert_eq!(shown(-1.7976931348623157e308), ["-1.7976931348623157e308", "-1.797693e308"]);
+        assert_eq!(shown(1e16), ["1e16", "1.000000e16"]);
         assert_eq!(shown(2.5e-40), ["2.5e-40", "2.500000e-40"]);
         assert_eq!(shown(f64::INFINITY), ["inf", "inf"]);
         assert_eq!(number(Number::Unsigned(u64::MAX)), "18446744073709551615");

@@ -57,7 +57,10 @@ const THREAD_BYTES: u64 = 32 << 20;
 
 /// Threads to use when nothing is said: one per core, if `memory` has room for what they take.
 pub(super) fn default_threads(memory: u64) -> usize {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    threads_of(std::thread::available_parallelism().map_or(1, usize::from), memory)
+}
+
+fn threads_of(cores: usize, memory: u64) -> usize {
     cores.min(usize::try_from(memory / THREAD_BYTES).unwrap_or(cores).max(2))
 }
 
@@ -97,10 +100,8 @@ mod tests {
 
     #[test]
     fn little_memory_is_for_few_threads() {
-        let cores = std::thread::available_parallelism().unwrap().get();
-        assert_eq!(default_threads(1 << 20), cores.min(2));
-        assert_eq!(default_threads(256 << 20), cores.min(8));
-        assert_eq!(default_threads(1 << 50), cores);
+        assert_eq!([1 << 20, 64 << 20, 256 << 20, 1 << 50].map(|memory| threads_of(16, memory)), [2, 2, 8, 16]);
+        assert_eq!([1, 2].map(|cores| threads_of(cores, 1 << 20)), [1, 2]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::errors::{Failure, misuse};
 use crate::points::{Form, Piece, Points};
 use crate::reader::json;
-use crate::waiting::LOOK_EVERY;
+use crate::waiting::{LOOK_EVERY, check_process};
 use esker::points::Batch;
 use esker::query::{Answer, Cancel, Query, QueryError};
 use esker::store::Snapshot;
@@ -108,6 +108,7 @@ impl State {
 impl Batches {
     /// The next points; `None` at the end.
     fn take(&self, py: Python<'_>) -> PyResult<Option<Points>> {
+        check_process()?;
         let pieces = py.detach(|| {
             let mut state = self.state();
             state.fill(&self.form, self.size)?;
@@ -118,12 +119,17 @@ impl Batches {
 
     /// The answer's report as JSON, once all points were handed out.
     fn answer(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        check_process()?;
         let answer = py.detach(|| self.state().answer.clone());
         answer.map(|a| json(&a)).transpose()
     }
 
     /// Reads no more.
     fn close(&self, py: Python<'_>) {
+        // After a fork it is the other process that reads, and another thread may have held the lock.
+        if check_process().is_err() {
+            return;
+        }
         py.detach(|| {
             let mut state = self.state();
             state.waiting.clear();

@@ -179,8 +179,28 @@ fn of_export(error: &ExportError) -> PyErr {
     }
 }
 
-/// The error and its causes, without saying anything twice.
+/// What the library's messages call by the command line's names, and what it is called here.
+const WORDS: &[(&str, &str)] = &[
+    ("--recursive looks", "recursive=True looks"),
+    ("or --ignore-crs to take", "or give ignore_crs=True to take"),
+    ("--quantum, --phase and --lattice apply", "quantum, phase and lattice apply"),
+    ("a coarser --quantum", "a coarser quantum"),
+    ("leave --name out", "leave name out"),
+    ("give another --name", "give another name"),
+    ("--name names one scan", "name names one scan"),
+    ("or give --wait", "or give wait=True"),
+    ("`esker scans` lists them", "store.scans lists them"),
+    ("run `esker verify`", "call store.verify()"),
+    ("use --force to replace it", "force=True replaces it"),
+];
+
+/// The error and its causes, without saying anything twice, in this package's words.
 fn message(error: &dyn Error) -> String {
+    let full = full_message(error);
+    WORDS.iter().fold(full, |message, (word, here)| message.replace(word, here))
+}
+
+fn full_message(error: &dyn Error) -> String {
     let mut message = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {

@@ -45,14 +45,20 @@ impl Reader {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Before anything is locked: another thread may have held the lock when this process was forked.
+    fn check_here(&self) -> PyResult<()> {
+        if self.process == std::process::id() {
+            return Ok(());
+        }
+        Err(misuse(
+            "the store was opened before this process was forked; open it again in a process that is spawned, \
+             multiprocessing.set_start_method(\"spawn\")",
+        ))
+    }
+
     /// The store and the generation that questions are about.
     fn current(&self, py: Python<'_>) -> PyResult<(Store, Snapshot)> {
-        if self.process != std::process::id() {
-            return Err(misuse(
-                "the store was opened before this process was forked; open it again in a process that is spawned, \
-                 multiprocessing.set_start_method(\"spawn\")",
-            ));
-        }
+        self.check_here()?;
         py.detach(|| {
             let mut open = self.open();
             let Some(Open { store, snapshot }) = open.as_mut() else { return Err(misuse("the store is closed")) };
@@ -103,12 +109,16 @@ impl Reader {
         Ok(Self::new(store, snapshot, true))
     }
 
+    /// In a forked process there is nothing to give up.
     fn close(&self, py: Python<'_>) {
-        py.detach(|| drop(self.open().take()));
+        if self.check_here().is_ok() {
+            py.detach(|| drop(self.open().take()));
+        }
     }
 
-    fn is_closed(&self, py: Python<'_>) -> bool {
-        py.detach(|| self.open().is_none())
+    fn is_closed(&self, py: Python<'_>) -> PyResult<bool> {
+        self.check_here()?;
+        Ok(py.detach(|| self.open().is_none()))
     }
 
     fn generation(&self, py: Python<'_>) -> PyResult<u64> {

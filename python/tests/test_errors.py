@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import select
 import shutil
 import signal
 import sqlite3
@@ -63,6 +64,11 @@ import pytest
         ({"frustum": 5}, TypeError, "frustum must be a view or the rows of a clip matrix"),
         ({"view": {"eye": [0, 0, float("nan")]}}, esker.QueryError, "view has a number that is NaN or infinite"),
         ({"attributes": b"Intensity"}, TypeError, "attributes must be names"),
+        ({"z": (500, None)}, TypeError, "z must be numbers"),
+        ({"box": ((0, 1), (0, 1), (0, 1))}, esker.QueryError, "a low and a high corner as two rows"),
+        ({"sphere": [[1, 2], [3, 4]]}, esker.QueryError, "sphere is one row of numbers"),
+        ({"view": "/"}, esker.QueryError, "/: reading the view failed: Is a directory"),
+        ({"view": {"eye": object()}}, TypeError, "view has <object"),
     ],
 )
 def test_what_makes_no_query(site, keywords, error, message):
@@ -237,3 +243,79 @@ def test_a_closed_store_is_not_changed(site, tmp_path):
     for change in (lambda: store.ingest(site.files[1]), lambda: store.remove("site_1"), store.compact, store.digest):
         with pytest.raises(esker.EskerError, match="closed"):
             change()
+
+
+def test_keywords_that_would_do_nothing_are_refused(site, tmp_path):
+    store = esker.open(shutil.copy(site.path, tmp_path / "copy.esker"))
+    for change, keywords in [
+        (lambda **k: store.hide("site_1", **k), {"quantum": 5}),
+        (lambda **k: store.show("site_1", **k), {"strict": True}),
+        (lambda **k: store.remove("site_1", **k), {"name": "x"}),
+        (lambda **k: store.replace("site_1", **k), {"recursive": True}),
+        (store.compact, {"crs": "EPSG:32632"}),
+        (store.digest, {"keep_going": True}),
+        (lambda **k: esker.merge(tmp_path / "m.esker", [site.path], **k), {"phase": 0.5}),
+        (lambda **k: store.ingest([], **k), {"foo": 1}),
+    ]:
+        with pytest.raises(TypeError, match=f"unexpected keyword argument '{next(iter(keywords))}'"):
+            change(**keywords)
+    for change in (store.hide, store.show, store.remove):
+        with pytest.raises(TypeError, match="scans must be names, not None"):
+            change(None)
+    assert len(store.scans) == 3 and not (tmp_path / "m.esker").exists()
+
+
+def test_messages_name_what_the_package_has(site, tmp_path):
+    store = esker.open(shutil.copy(site.path, tmp_path / "copy.esker"))
+    (tmp_path / "empty").mkdir()
+    for change, message in [
+        (lambda: store.ingest(tmp_path / "empty"), "recursive=True looks into folders below"),
+        (lambda: store.ingest(site.files, quantum=0.5), "quantum, phase and lattice apply"),
+        (lambda: store.ingest(site.files[:1], name=" "), "leave name out"),
+        (lambda: store.hide("site_9"), "store.scans lists them"),
+    ]:
+        with pytest.raises(esker.EskerError) as caught:
+            change()
+        assert message in str(caught.value) and "--" not in str(caught.value)
+
+
+def test_regions_that_hold_nothing_are_told(site):
+    for ask in (site.store.query, site.store.count, site.store.summary):
+        with pytest.warns(esker.EskerWarning, match="outside the site") as caught:
+            ask(box=(0, 0, 1, 1))
+        assert caught[0].filename == __file__
+
+
+def test_paths_that_are_no_text(site, tmp_path):
+    path = os.fsdecode(os.path.join(os.fsencode(tmp_path), b"e\xff.las"))
+    report = site.store.export(path, capacity=3)
+    assert os.path.exists(path) and [part["points"] for part in report["outputs"]] == [3]
+
+
+def test_a_forked_process_is_told_at_once(site):
+    """It waited for threads that had not come along, or for a lock that one of them held."""
+    store = esker.open(site.path)
+    batches = store.batches(1000)
+    next(batches)
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        told = []
+        for ask in (lambda: next(batches), lambda: store.closed, lambda: store.count()):
+            try:
+                ask()
+            except esker.EskerError as error:
+                told.append("forked" in str(error))
+        batches.close()
+        store.close()
+        told.append("forked" in repr(store))
+        os.write(writing, b"y" if told == [True] * 4 else repr(told).encode())
+        os._exit(0)
+    os.close(writing)
+    # A minute is long enough for what should come at once.
+    there, _, _ = select.select([reading], [], [], 60)
+    if not there:
+        os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert there and os.read(reading, 1000) == b"y"
+    os.close(reading)

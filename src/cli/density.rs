@@ -1,14 +1,14 @@
 //! `esker density`: how many points lie where, and how high, as a raster.
 
 use super::which::{Which, tell_why_nothing};
-use super::{Outcome, output, values};
+use super::{Outcome, Usage, output, values};
 use crate::formats::{Raster, RasterFormat, write_raster};
 use crate::points::Crs;
 use crate::query::Density;
 use crate::store::{Limits, Store};
-use anyhow::{Context, bail};
+use anyhow::bail;
 use clap::{Args, ValueEnum};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Counts points in squares, and finds the lowest and highest of each.
 ///
@@ -32,9 +32,9 @@ pub(super) struct Arguments {
     side: f64,
     #[command(flatten)]
     which: Which,
-    /// For .asc: which value.
-    #[arg(long, value_enum, default_value_t = Value::Count)]
-    value: Value,
+    /// For .asc: which value; count unless said.
+    #[arg(long, value_enum, requires = "output")]
+    value: Option<Value>,
     /// Where to: a file ending in .asc or .csv, or - for stdout.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -75,12 +75,18 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             "csv" => Some(Format::Csv),
             _ => None,
         };
-        let format = arguments.format.or(by_name).with_context(|| {
-            format!("{}: '{ending}' is no ending of a raster; use .asc or .csv, or --format", path.display())
+        if path == Path::new("-") && arguments.format.is_none() {
+            return Err(Usage("-o - needs --format: asc or csv".into()));
+        }
+        let format = arguments.format.or(by_name).ok_or_else(|| {
+            Usage(format!("{}: '{ending}' is no ending of a raster; use .asc or .csv, or --format", path.display()))
         })?;
-        Ok::<_, anyhow::Error>((path, format))
+        Ok::<_, Usage>((path, format))
     });
     let target = target.transpose()?;
+    if arguments.value.is_some() && target.is_some_and(|(_, format)| format == Format::Csv) {
+        return Err(Usage("--value is for .asc; .csv has count, lowest and highest".into()).into());
+    }
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
@@ -92,8 +98,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         if format == Format::Asc && density.counts.is_empty() {
             bail!("no points match, and a raster of no squares is none: nothing was written");
         }
+        let value = arguments.value.unwrap_or(Value::Count);
         let (format, bands) = match format {
-            Format::Asc => (RasterFormat::Asc, vec![("value", band(&density, arguments.value))]),
+            Format::Asc => (RasterFormat::Asc, vec![("value", band(&density, value))]),
             Format::Csv => {
                 let named = [("Count", Value::Count), ("Lowest", Value::Lowest), ("Highest", Value::Highest)];
                 (RasterFormat::Csv, named.map(|(name, value)| (name, band(&density, value))).into())
@@ -103,7 +110,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         let wkt = snapshot.site().crs.as_ref().and_then(|crs| crs.wkt.as_deref());
         write_raster(path, format, &Raster { side, first, size, bands: &bands, wkt }, arguments.force)?;
     }
-    let to_stdout = target.is_some_and(|(path, _)| path == std::path::Path::new("-"));
+    let to_stdout = target.is_some_and(|(path, _)| path == Path::new("-"));
     report(arguments, &density, snapshot.site().crs.as_ref(), to_stdout)?;
     Ok(Outcome::Done)
 }
@@ -132,7 +139,7 @@ fn report(arguments: &Arguments, density: &Density, crs: Option<&Crs>, to_stdout
             "statistics": density.statistics,
         });
         if to_stdout {
-            eprintln!("{value}");
+            output::tell!("{value}");
         } else {
             output::json(&value)?;
         }

@@ -1,9 +1,8 @@
 //! `esker generate`: synthetic models for trials.
 
 use super::interrupt::cancelled_by_interrupt;
-use super::{Outcome, output, values};
+use super::{Outcome, Usage, output, values};
 use crate::generate::{GenerateOptions, Kind, generate};
-use anyhow::bail;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -25,7 +24,7 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Scans of a site (default: 5).
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     scans: Option<u32>,
     /// Write the scans of a site as LAZ.
     #[arg(long)]
@@ -49,11 +48,13 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let is_site = arguments.kind == Kind::Site;
     if !is_site && (arguments.scans.is_some() || arguments.laz) {
         let option = if arguments.laz { "--laz" } else { "--scans" };
-        bail!("{option} is for a site; another model is one file, LAS or LAZ as its name ends");
+        let what = format!("{option} is for a site; another model is one file, LAS or LAZ as its name ends");
+        return Err(Usage(what).into());
     }
     let ending = arguments.output.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
     if is_site && matches!(ending.as_str(), "las" | "laz") && !arguments.output.is_dir() {
-        bail!("{}: a site is a folder of files; give the name of a folder", arguments.output.display());
+        let what = format!("{}: a site is a folder of files; give the name of a folder", arguments.output.display());
+        return Err(Usage(what).into());
     }
     let scans = arguments.scans.unwrap_or(GenerateOptions::default().scans);
     let options = GenerateOptions { force: arguments.force, scans, laz: arguments.laz };
@@ -61,7 +62,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let mut go_on = |_| !cancel.is_cancelled();
     let report = generate(arguments.kind, arguments.points, arguments.seed, &arguments.output, &options, &mut go_on)?;
     for note in &report.notes {
-        eprintln!("esker: {}", output::clean(note));
+        output::tell!("esker: {}", output::clean(note));
     }
     for (path, points) in &report.files {
         output::line(format_args!("{}: {}", path.display(), output::counted(*points, "point")))?;

@@ -36,7 +36,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "Q[,Q,Q]", value_parser = values::steps, allow_hyphen_values = true)]
     quantum: Option<[f64; 3]>,
     /// Offset of a new store's lattice, less than the quantum (default: where the inputs' own grids lie).
-    #[arg(long, value_name = "P[,P,P]", value_parser = values::per_axis, allow_hyphen_values = true)]
+    #[arg(long, value_name = "P[,P,P]", value_parser = values::finite_per_axis, allow_hyphen_values = true)]
     phase: Option<[f64; 3]>,
     /// Take quantum and phase of a new store from this one, so that the two can be merged.
     #[arg(long, value_name = "STORE", conflicts_with_all = ["quantum", "phase"])]
@@ -49,8 +49,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// The inputs' CRS, instead of what they say: EPSG:N or WKT.
-    #[arg(long, value_name = "WKT|EPSG:N")]
-    crs: Option<String>,
+    #[arg(long, value_name = "WKT|EPSG:N", value_parser = crs)]
+    crs: Option<Crs>,
     /// Take coordinates as they are though an input's CRS is not the site's.
     #[arg(long)]
     ignore_crs: bool,
@@ -75,7 +75,8 @@ pub(super) struct Arguments {
     /// Wait while another process is writing to the store, instead of failing.
     #[arg(long)]
     wait: bool,
-    /// Truncated files are errors; rejected points end the command with exit code 3.
+    /// Truncated files are errors; rejected points end the command with exit code 3, also those of scans that are there
+    /// already.
     #[arg(long)]
     strict: bool,
     /// One JSON object on stdout.
@@ -100,7 +101,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         lattice: wish,
         memory_bytes: arguments.memory,
         threads: arguments.threads.map(usize::from),
-        crs: arguments.crs.as_deref().map(parse_crs).transpose()?,
+        crs: arguments.crs,
         ignore_crs: arguments.ignore_crs,
         name: arguments.name,
         poses: poses(&arguments.poses)?,
@@ -136,7 +137,8 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     } else {
         print(&report)?;
     }
-    let rejected = report.scans.iter().any(|s| s.rejected > 0);
+    // Also of what an earlier run has stored: the same command, given again, ends as it did.
+    let rejected = report.scans.iter().any(|s| s.rejected > 0) || report.skipped.iter().any(|s| s.rejected > 0);
     Ok(if arguments.strict && rejected || !report.unreadable.is_empty() { Outcome::Rejected } else { Outcome::Done })
 }
 
@@ -148,14 +150,14 @@ fn are_several(inputs: &[PathBuf]) -> bool {
 /// Notes and warnings, on stderr.
 pub(super) fn tell(report: &Report) {
     for left_out in &report.unreadable {
-        eprintln!("esker: left out: {}", output::clean(&left_out.reason));
+        output::tell!("esker: left out: {}", output::clean(&left_out.reason));
     }
     for note in &report.notes {
-        eprintln!("esker: {}", output::clean(note));
+        output::tell!("esker: {}", output::clean(note));
     }
     for scan in &report.scans {
         for warning in &scan.warnings {
-            eprintln!("esker: {}: {}", output::clean(&scan.name), output::clean(warning));
+            output::tell!("esker: {}: {}", output::clean(&scan.name), output::clean(warning));
         }
     }
 }
@@ -229,10 +231,11 @@ pub(super) fn poses(files: &[PathBuf]) -> anyhow::Result<Vec<Pose>> {
     Ok(poses)
 }
 
-fn parse_crs(text: &str) -> anyhow::Result<Crs> {
+/// EPSG:N, WKT, or what a file has of either.
+fn crs(text: &str) -> Result<Crs, String> {
     let content = std::fs::read_to_string(text);
     let crs = Crs::parse(content.as_deref().unwrap_or(text));
-    crs.with_context(|| format!("--crs '{text}' is neither EPSG:N (1024 to 32766) nor WKT nor a file that holds WKT"))
+    crs.ok_or_else(|| "it is neither EPSG:N (1024 to 32766) nor WKT nor a file that holds WKT".to_owned())
 }
 
 /// The lattice in words.

@@ -38,7 +38,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             output::line(format_args!("{}: skipped, it is there already", output::clean(name)))?;
         }
         for note in &merged.notes {
-            eprintln!("esker: {}", output::clean(note));
+            output::tell!("esker: {}", output::clean(note));
         }
         output::line(format_args!(
             "{}, {} joined in {:.1} s",

@@ -35,6 +35,8 @@ use crate::query::QueryError;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
+/// Options that are no use together, as clap ends what it finds itself.
+const EXIT_USAGE: u8 = 2;
 /// Rejected points under `--strict`.
 const EXIT_REJECTED: u8 = 3;
 /// Ctrl-C.
@@ -48,6 +50,11 @@ enum Outcome {
     /// `verify` found damage and has said so.
     Damaged,
 }
+
+/// Options are wrong that only together can be seen to be.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Usage(String);
 
 #[derive(Debug, Parser)]
 #[command(
@@ -120,10 +127,22 @@ pub fn main() -> ExitCode {
         Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             let hint = limits::of_file_size(&error).unwrap_or_default();
-            eprintln!("esker: {}{hint}", output::one_line(&error));
-            ExitCode::from(if is_interrupted(&error) { EXIT_INTERRUPTED } else { 1 })
+            output::tell!("esker: {}{hint}", output::one_line(&error));
+            ExitCode::from(match error {
+                error if is_interrupted(&error) => EXIT_INTERRUPTED,
+                error if is_usage(&error) => EXIT_USAGE,
+                _ => 1,
+            })
         }
     }
+}
+
+/// Is it the command line that is wrong, whatever the store and the files are?
+fn is_usage(error: &anyhow::Error) -> bool {
+    let of_export = |e: &ExportError| {
+        matches!(e, ExportError::ScaleOfNoGrid | ExportError::SplitOfStandardOutput | ExportError::Ending { .. })
+    };
+    error.is::<Usage>() || error.downcast_ref::<ExportError>().is_some_and(of_export)
 }
 
 /// Did Ctrl-C end the command?

@@ -2,7 +2,7 @@
 
 use super::query::{Format, format};
 use super::which::{Which, tell_why_nothing, with_attributes};
-use super::{Outcome, output, values};
+use super::{Outcome, Usage, output, values};
 use crate::export::plan;
 use crate::formats::{CreateOptions, OutputFormat, create, create_standard_output};
 use crate::points::{Attribute, Column, ScalarType};
@@ -27,15 +27,21 @@ pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
     /// X,Y,Z of a place; may be given several times.
-    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, required_unless_present = "places")]
-    at: Vec<String>,
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        allow_hyphen_values = true,
+        required_unless_present = "places",
+        value_parser = typed_place
+    )]
+    at: Vec<[f64; 3]>,
     /// A text file of places: X, Y and Z in each line, separated by semicolons (commas are then decimal), commas or blanks;
     /// what follows them is ignored, as are lines that begin with #. Where a first line names X, Y and Z, these columns
     /// are taken; other names are ignored. `-` is stdin.
     #[arg(long, value_name = "FILE", conflicts_with = "at")]
     places: Option<PathBuf>,
     /// How many neighbours each place gets at most.
-    #[arg(short, long = "count", value_name = "N", default_value = "1", value_parser = values::count)]
+    #[arg(short, long = "count", value_name = "N", default_value = "1", value_parser = values::positive_count)]
     k: u64,
     /// Only neighbours at most this far away, in CRS units.
     #[arg(long, value_name = "R", value_parser = values::not_negative)]
@@ -66,7 +72,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         given => format(&arguments.output, given)?,
     };
     if matches!(form, OutputFormat::Las | OutputFormat::Laz) {
-        bail!("LAS files have no place for Place and Distance; write .csv, .ply, .npy or .npz");
+        let form = "LAS files have no place for Place and Distance; write .csv, .ply, .npy or .npz";
+        return Err(Usage(form.into()).into());
     }
     let places = places(arguments)?;
     let store = Store::open_with(&arguments.store, Limits::default())?;
@@ -76,7 +83,6 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let query = query.with_scans(planned.meeting.needs_scans());
-    anyhow::ensure!(k > 0, "--count is 0; it must be 1 or more");
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
     if found.batch.is_empty() {
         tell_why_nothing(&snapshot, &region, &arguments.which.scans)?;
@@ -100,11 +106,11 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     };
     writer.write(&batch)?;
     for note in planned.notes.into_iter().chain(writer.finish()?) {
-        eprintln!("esker: {}", output::clean(&note));
+        output::tell!("esker: {}", output::clean(&note));
     }
     let report = serde_json::json!({ "places": places.len(), "neighbours": batch.len(), "statistics": statistics });
     match (arguments.json, to_stdout) {
-        (true, true) => eprintln!("{report}"),
+        (true, true) => output::tell!("{report}"),
         (true, false) => output::json(&report)?,
         (false, false) => output::line(format_args!(
             "{}: {} of {}",
@@ -120,7 +126,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
 /// The places, as they were given.
 fn places(arguments: &Arguments) -> anyhow::Result<Vec<[f64; 3]>> {
     let Some(path) = &arguments.places else {
-        return arguments.at.iter().map(|text| place(text).with_context(|| format!("--at '{text}'"))).collect();
+        return Ok(arguments.at.clone());
     };
     let text = if path == Path::new("-") {
         std::io::read_to_string(std::io::stdin()).context("reading the places from stdin failed")?
@@ -179,6 +185,11 @@ fn words(line: &str) -> Vec<&str> {
 
 /// How places are written.
 const HOW: &str = "all separated by commas, or by blanks, or by semicolons (commas are then decimal)";
+
+/// A place as an option has it.
+fn typed_place(text: &str) -> Result<[f64; 3], String> {
+    place(text).map_err(|e| output::one_line(&e))
+}
 
 /// The first three numbers of a line.
 fn place(text: &str) -> anyhow::Result<[f64; 3]> {

@@ -19,6 +19,15 @@ pub(super) fn one_line(error: &anyhow::Error) -> String {
     if line.starts_with("filter: ") { line } else { line.replace('\n', " ") }
 }
 
+/// Prints a line to stderr. That it can't be written is nobody's loss: there is no other place to say so.
+macro_rules! tell {
+    ($($words:tt)*) => {{
+        use std::io::Write;
+        let _ = writeln!(std::io::stderr().lock(), $($words)*);
+    }};
+}
+pub(super) use tell;
+
 /// Was the reader of our stdout gone?
 pub(super) fn is_closed_pipe(error: &anyhow::Error) -> bool {
     error.chain().any(|c| c.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe))

@@ -1,8 +1,9 @@
 //! Progress on stderr: a bar on a terminal, JSON lines for programs, nothing otherwise. And Ctrl-C.
 
+use super::output;
 use crate::ingest::{Progress, Stage};
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -41,9 +42,9 @@ impl Shown {
             bar.set_draw_target(ProgressDrawTarget::hidden());
         }
         if let Ok(style) =
-            ProgressStyle::with_template("{msg:9} [{bar:32}] {human_pos}/{human_len} points  {per_sec}  {eta} left")
+            ProgressStyle::with_template("{msg:9} [{bar:32}] {human_pos}/{human_len} points  {rate}  {eta} left")
         {
-            bar.set_style(style.progress_chars("=> "));
+            bar.set_style(style.progress_chars("=> ").with_key("rate", rate));
         }
         Self { mode, bar, stopped, state: Mutex::new(None), total: AtomicU64::new(0), done: AtomicU64::new(0) }
     }
@@ -55,8 +56,14 @@ impl Shown {
 
     fn print(&self, stage: Stage) {
         let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
-        eprintln!("{}", serde_json::json!({ "stage": stage.word(), "points": done, "total": total }));
+        output::tell!("{}", serde_json::json!({ "stage": stage.word(), "points": done, "total": total }));
     }
+}
+
+/// Points a second, whole ones.
+fn rate(state: &ProgressState, out: &mut dyn std::fmt::Write) {
+    // What the bar has no room for is not shown.
+    let _ = write!(out, "{}/s", output::grouped(state.per_sec() as u64));
 }
 
 impl Progress for Shown {
@@ -88,7 +95,7 @@ impl Progress for Shown {
     }
 
     fn say(&self, message: &str) {
-        self.bar.suspend(|| eprintln!("esker: {}", super::output::clean(message)));
+        self.bar.suspend(|| output::tell!("esker: {}", output::clean(message)));
     }
 
     fn cancelled(&self) -> bool {

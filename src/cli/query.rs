@@ -1,14 +1,14 @@
 //! `esker query`: points out, by region, filter and detail.
 
 use super::which::{Which, tell_why_nothing, with_attributes};
-use super::{Outcome, output, values};
+use super::{Outcome, Usage, output, values};
 use crate::export::{self, ExportError, ExportOptions, Exported, PartOf, Target, Written};
 use crate::formats::OutputFormat;
 use crate::geometry::Camera;
 use crate::points::Number;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
 use crate::store::{Holders, Limits, Snapshot, Store};
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -21,7 +21,7 @@ use std::time::Duration;
     allow_negative_numbers = true,
     after_help = "Examples:\n  esker query site.esker --box 500000,5000000,500050,5000050 -o corner.laz\n  \
                   esker query site.esker --polygon plots.geojson --z 120,inf -o plots.laz\n  \
-                  esker query site.esker --polygon 'POLYGON((0 0, 50 0, 50 30, 0 0))' --count\n  \
+                  esker query site.esker --polygon 'POLYGON((500000 5000000, 500050 5000000, 500050 5000030))' --count\n  \
                   esker query site.esker --obox 500010,5000020,130,40,8,10,30 -o street.las\n  \
                   esker query site.esker --region 'polygon(plot.wkt) and not sphere(10,20,3,5)' -o rest.npy\n  \
                   esker query site.esker --frustum view.json --where 'Classification = 6' -o seen.laz\n  \
@@ -50,8 +50,8 @@ pub(super) struct Arguments {
     max_error_px: Option<f64>,
     /// For --view: how points are spread: `screen`, the largest error in pixels first, or `distance`, ratios that fall with
     /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.
-    #[arg(long, value_name = "POLICY", requires = "view")]
-    policy: Option<String>,
+    #[arg(long, value_name = "POLICY", requires = "view", value_parser = Policy::parse)]
+    policy: Option<Policy>,
     /// As few points as keep every matching point within D of one of them, in CRS units.
     #[arg(long, value_name = "D", value_parser = values::not_negative, conflicts_with_all = ["spacing", "level"])]
     max_error: Option<f64>,
@@ -80,14 +80,14 @@ pub(super) struct Arguments {
     /// (regions and filters are always the world's).
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Frame::World, requires = "output")]
     frame: Frame,
-    /// One file per scan, `out_NAME.las` for `out.las`, or per class, `out_class2.las`.
+    /// One file per scan, `out_NAME.las` for `out.las`, or per class, `out_class2.las`; at most 1,024 files.
     #[arg(long, value_enum, value_name = "WHAT", requires = "output")]
     split_by: Option<SplitBy>,
     /// Replace an existing file.
     #[arg(long)]
     force: bool,
     /// Print the number of points, nothing else.
-    #[arg(long, conflicts_with_all = ["output", "json", "format", "scale", "frame", "split_by"])]
+    #[arg(long, conflicts_with_all = ["output", "json", "format", "scale", "frame", "split_by", "attributes", "force"])]
     count: bool,
     /// Say what becomes of the nodes, and why each of the coarsest is taken, tested, refused or cut, instead of giving
     /// points; with --explain=all of every node.
@@ -98,7 +98,7 @@ pub(super) struct Arguments {
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "coarsest",
-        conflicts_with_all = ["output", "count", "format", "scale", "frame", "split_by"]
+        conflicts_with_all = ["output", "count", "format", "scale", "frame", "split_by", "force"]
     )]
     explain: Option<Explain>,
     /// One JSON object on stdout.
@@ -209,7 +209,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
         } else {
             output::line(output::clean_lines(&explanation.text(which.most())))?;
             if explanation.nodes.len() > which.most() {
-                eprintln!("esker: --explain=all lists all nodes");
+                output::tell!("esker: --explain=all lists all nodes");
             }
         }
         return Ok(Outcome::Done);
@@ -243,7 +243,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
             };
             let Exported { answer, files, notes } = export::export(&snapshot, &query, target, &options, |_| {})?;
             for note in notes {
-                eprintln!("esker: {}", output::clean(&note));
+                output::tell!("esker: {}", output::clean(&note));
             }
             warn(arguments, &snapshot, &region, &answer)?;
             if arguments.split_by.is_some() {
@@ -259,6 +259,9 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
 pub(super) fn format(path: &Path, given: Option<Format>) -> anyhow::Result<OutputFormat> {
     Ok(match given {
         Some(format) => format.into(),
+        None if path == Path::new("-") => {
+            return Err(Usage("-o - needs --format: las, laz, ply, csv, npy or npz".into()).into());
+        }
         None => export::format_of(path)?,
     })
 }
@@ -268,12 +271,12 @@ fn query(arguments: &Arguments, region: Region, snapshot: &Snapshot) -> anyhow::
     if let Some(path) = &arguments.view {
         let camera = read_view(path)?;
         query = query.view(camera, arguments.max_error_px.unwrap_or(1.0));
-        if let Some(text) = &arguments.policy {
-            let policy = Policy::parse(text)?;
+        if let Some(policy) = &arguments.policy {
             if arguments.max_error_px.is_some() && matches!(policy, Policy::Distance(_)) {
-                bail!("--max-error-px is for the policy of the screen: leave it out, or --policy");
+                let what = "--max-error-px is for the policy of the screen: leave it out, or --policy";
+                return Err(Usage(what.into()).into());
             }
-            query = query.policy(policy);
+            query = query.policy(*policy);
         }
     }
     let detail = match (arguments.max_error, arguments.spacing, arguments.level) {
@@ -300,7 +303,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
     if answer.points == 0 || answer.region_misses_site {
         tell_why_nothing(snapshot, region, &arguments.which.scans)?;
     }
-    if arguments.which.place.closed || !matches!(region, Region::Box { .. }) {
+    if arguments.which.place.closed || !region.is_of_boxes() {
         return Ok(());
     }
     let on_faces = match answer.on_maximum_faces {
@@ -312,7 +315,7 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
         }
     };
     if on_faces > 0 {
-        eprintln!(
+        output::tell!(
             "esker: {} on the region's maximum faces and {} not taken; --closed takes {}",
             output::agreeing(on_faces, "point", ["lies", "lie"]),
             if on_faces == 1 { "is" } else { "are" },
@@ -356,7 +359,7 @@ fn report(arguments: &Arguments, path: &Path, answer: &Answer) -> anyhow::Result
     if arguments.json {
         if path == Path::new("-") {
             // stdout has the points.
-            eprintln!("{}", serde_json::to_string(answer)?);
+            output::tell!("{}", serde_json::to_string(answer)?);
         } else {
             let mut value = serde_json::to_value(answer)?;
             value["output"] = path.display().to_string().into();

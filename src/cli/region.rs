@@ -1,5 +1,6 @@
 //! The options that say where.
 
+use super::output;
 use crate::lattice::Lattice;
 use crate::query::Region;
 use clap::Args;
@@ -53,6 +54,11 @@ impl Where {
             self.region.as_deref().map(Region::parse).transpose()?,
         ];
         let region = Region::all(kinds.into_iter().flatten());
+        if self.closed && region.closed_on(lattice) == region {
+            output::tell!(
+                "esker: --closed has no effect: the region has no box with a maximum face that points lie on"
+            );
+        }
         Ok(if self.closed { region.closed_on(lattice) } else { region })
     }
 }

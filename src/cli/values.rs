@@ -65,6 +65,13 @@ pub(super) fn steps(text: &str) -> Result<[f64; 3], String> {
     Err(format!("'{text}' is no positive number"))
 }
 
+/// As [`per_axis`], of numbers that are finite.
+pub(super) fn finite_per_axis(text: &str) -> Result<[f64; 3], String> {
+    let values = per_axis(text)?;
+    let finite = values.iter().all(|value| value.is_finite());
+    if finite { Ok(values) } else { Err(format!("'{text}' is not finite")) }
+}
+
 /// A positive, finite number.
 pub(super) fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -103,6 +110,14 @@ pub(super) fn count(text: &str) -> Result<u64, String> {
     }
 }
 
+/// As [`count`], from 1 up.
+pub(super) fn positive_count(text: &str) -> Result<u64, String> {
+    match count(text)? {
+        0 => Err("it must be 1 or more".into()),
+        count => Ok(count),
+    }
+}
+
 /// `WxH` in pixels.
 #[cfg(feature = "render")]
 pub(super) fn pixels(text: &str) -> Result<[u32; 2], String> {
@@ -135,6 +150,8 @@ mod tests {
         assert_eq!(count("2M"), Ok(2_000_000));
         assert_eq!(count("1.5k"), Ok(1500));
         assert!(count("1.5").is_err() && count("-1").is_err());
+        assert!(positive_count("0").is_err() && positive_count("1") == Ok(1));
+        assert!(finite_per_axis("inf").is_err() && finite_per_axis("0,-1,2") == Ok([0.0, -1.0, 2.0]));
         assert_eq!(per_axis("0.01"), Ok([0.01; 3]));
         assert!(per_axis("1,2").is_err());
     }

@@ -73,7 +73,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         ))?;
     } else {
         for line in damage(&report) {
-            eprintln!("esker: {}: {line}", arguments.store.display());
+            output::tell!("esker: {}: {line}", arguments.store.display());
         }
     }
     Ok(if report.is_whole() { Outcome::Done } else { Outcome::Damaged })

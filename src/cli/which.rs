@@ -1,6 +1,7 @@
 //! Which points of a store: the options that `query`, `nearest` and `density` share.
 
 use super::interrupt::cancelled_by_interrupt;
+use super::output;
 use super::region::Where;
 use super::values;
 use crate::geometry::Containment;
@@ -44,7 +45,7 @@ pub(super) fn tell_why_nothing(snapshot: &Snapshot, region: &Region, scans: &[St
     let lattice = &snapshot.site().lattice;
     let bounds = snapshot.scans().iter().filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
     if let Some(axis) = region.empty_axis() {
-        eprintln!(
+        output::tell!(
             "esker: the region has no extent on {}: it holds nothing without its maximum faces; --closed takes these, too",
             ["x", "y", "z"][axis]
         );
@@ -52,15 +53,20 @@ pub(super) fn tell_why_nothing(snapshot: &Snapshot, region: &Region, scans: &[St
         && region.on_lattice(lattice)?.classify(&bounds) == Containment::Outside
     {
         let WorldBounds { min, max } = WorldBounds::new(lattice, &bounds);
-        eprintln!(
+        output::tell!(
             "esker: the region lies outside the site, whose bounds are {},{},{},{},{},{}",
-            min[0], min[1], min[2], max[0], max[1], max[2]
+            min[0],
+            min[1],
+            min[2],
+            max[0],
+            max[1],
+            max[2]
         );
     }
     let hidden = snapshot.scans().iter().filter(|s| !s.visible).count();
     if hidden > 0 && scans.is_empty() {
         let all = snapshot.scans().len();
-        eprintln!("esker: {hidden} of {all} scans are hidden; `esker show` shows them, --scan asks for one");
+        output::tell!("esker: {hidden} of {all} scans are hidden; `esker show` shows them, --scan asks for one");
     }
     Ok(())
 }
@@ -70,7 +76,7 @@ pub(super) fn filter(text: &str, snapshot: &Snapshot) -> anyhow::Result<Filter> 
     let filter = Filter::parse(text)?;
     for name in filter.ambiguous_names(snapshot) {
         let attribute = format!("the attribute of that name is written \"{name}\", in double quotes");
-        eprintln!("esker: {name} is taken as the coordinate; {attribute}");
+        output::tell!("esker: {name} is taken as the coordinate; {attribute}");
     }
     Ok(filter)
 }

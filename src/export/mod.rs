@@ -81,12 +81,18 @@ pub struct Exported {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Written {
     /// The file.
+    #[serde(serialize_with = "as_shown")]
     pub path: PathBuf,
     /// Its points.
     pub points: u64,
     /// What it holds of an answer that was split.
     #[serde(flatten)]
     pub part: Option<PartOf>,
+}
+
+/// A path as messages show it: JSON has no place for one that is no UTF-8.
+fn as_shown<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
 }
 
 /// Which part of an answer a file holds.

@@ -75,12 +75,24 @@ pub(super) fn split(
                 .to_owned(),
         );
     }
+    let mut new = Vec::new();
     for Part { path, of, writer, points, shape, .. } in files.parts.into_values() {
         if of == PartOf::Class(None) {
             notes.push(format!("{} without a class: {}", counted(points, "point"), path.display()));
         }
         notes.extend(shape.planned.notes);
-        notes.extend(writer.finish()?);
+        let is_new = path.symlink_metadata().is_err();
+        match writer.finish() {
+            Ok(of_file) => notes.extend(of_file),
+            Err(error) => {
+                // All files or none; those that have replaced others are whole, and stay.
+                new.iter().for_each(|path| drop(std::fs::remove_file(path)));
+                return Err(error.into());
+            }
+        }
+        if is_new {
+            new.push(path.clone());
+        }
         written.push(Written { path, points, part: Some(of) });
     }
     Ok(Exported { answer, files: written, notes })

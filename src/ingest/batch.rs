@@ -1,7 +1,7 @@
 //! Some sources to scans of the store, in one commit.
 
 use super::IngestError;
-use super::bulk::{Layer, Room, params};
+use super::bulk::{LEAST_SHARE, Layer, Room, params};
 use super::change::{Edit, Ground, NewPoints, ScanOrder, change, point_bytes};
 use super::context::Context;
 use super::error::Stopped;
@@ -67,10 +67,8 @@ pub(super) fn add(
 
     let records: u64 = sources.iter().map(|s| s.reader.info().records).sum();
     let payload: u64 = sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.payload as u64).sum();
-    let stored: u64 =
-        sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.stride() as u64 / 2).sum();
     let hint = hinted_bounds(lattice, sources, batch.measured);
-    let mut room = Room::new(context, site.g, hint, records, payload, stored)?;
+    let mut room = Room::new(context, site.g, hint, records, payload, payload / LEAST_SHARE)?;
     // Something for every thread, also of a small file.
     let pieces = 2 * context.threads.max(1) as u64;
     room.budget.piece_records = room.budget.piece_records.min(records.div_ceil(pieces)).max(LEAST_PIECE);
@@ -189,8 +187,7 @@ fn build(
         let root = Cube::spanning(bounds.min, bounds.max, site.g);
         // A snapshot that is held keeps the log from being used again while it grows by the whole layer.
         drop(snapshot);
-        let ids = writer.chunk_ids();
-        let layer = Layer { layer: into, params, root, scans: &columns, table: &table, ids };
+        let layer = Layer { layer: into, params, root, scans: &columns, table: &table };
         let written = room.write(context, writer, &layer, buckets)?;
         let Written { nodes: put, chunks } = written;
         edits.push(Edit { layer: into, root: Some(root), put, chunks, ..Edit::default() });

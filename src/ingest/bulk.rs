@@ -6,15 +6,14 @@ use super::build::{Plan, Sink, build};
 use super::context::Context;
 use super::gather::ScanColumns;
 use super::partition::{Bucket, Partition, bucket_exponent};
-use super::queue::Queue;
 use super::rows::RowKey;
 use super::spill::Spill;
 use super::subtrees::with_subtrees;
-use super::writing::Written;
+use super::writing::{Written, through};
 use crate::lattice::{Cube, Key, Lattice, LatticeBox};
 use crate::octree::Params;
 use crate::store::model::Site;
-use crate::store::{ChunkIds, EncodedNode, ScanTable, StoreError, Writer};
+use crate::store::{ChunkIds, ScanTable, Writer};
 use std::sync::Mutex;
 
 /// Where rows wait for their nodes: memory, or one temporary file.
@@ -26,9 +25,13 @@ pub(super) struct Room {
     spill: Option<Spill>,
 }
 
+/// Stores are a third to a sixth of the bytes of the points' records. A disk that has room for less than the least is not tried;
+/// one that then fills up all the same leaves the store as it was.
+pub(super) const LEAST_SHARE: u64 = 8;
+
 impl Room {
     /// For at most `rows` rows with `payload_bytes` bytes of payload, about inside `hint`, of which the store will keep
-    /// about `store_bytes`.
+    /// `store_bytes` at least.
     pub fn new(
         context: &Context<'_>,
         g: u8,
@@ -78,7 +81,8 @@ impl Room {
         buckets: Vec<Bucket>,
         sink: Sink<'_>,
     ) -> Result<(), IngestError> {
-        let ids = layer.ids.clone();
+        // Numbered when they are written.
+        let ids = ChunkIds::default();
         let plan = Plan {
             params: layer.params,
             layer: layer.layer,
@@ -106,36 +110,8 @@ impl Room {
         buckets: Vec<Bucket>,
     ) -> Result<Written, IngestError> {
         writer.expect_many()?;
-        let queue = Queue::new(self.budget.queue_bytes);
-        let written = std::thread::scope(|scope| {
-            let writing = scope.spawn(|| {
-                let _leaves = queue.leaves();
-                let mut written = Written::default();
-                while let Some(mut node) = queue.pop() {
-                    node.renumber(&layer.ids);
-                    writer.put_chunks_unless(&node.chunks, &|| context.progress.cancelled())?;
-                    written.chunks += node.chunks.len() as u64;
-                    written.nodes.push((node.head, node.zones));
-                }
-                Ok::<_, StoreError>(written)
-            });
-            let ends = queue.ends();
-            let sink = |node: EncodedNode| {
-                // The writer only stops taking when it has failed, and says why when it is joined.
-                let taken = queue.push(node);
-                taken.then_some(()).ok_or_else(|| IngestError::Internal("the writer has stopped".into()))
-            };
-            let Layer { layer, params, root, scans, table, .. } = *layer;
-            let unnumbered = Layer { layer, params, root, scans, table, ids: ChunkIds::default() };
-            let built = self.build(context, &unnumbered, buckets, Sink::Encoded(&sink));
-            drop(ends);
-            let written = writing.join().map_err(|_| IngestError::Internal("the writer broke down".into()))?;
-            match (built, written) {
-                // Whoever is told to stop waits for no reader.
-                (_, Err(error)) => context.go_on().and(Err(error.into())),
-                (Err(error), Ok(_)) => Err(error),
-                (Ok(()), Ok(written)) => Ok(written),
-            }
+        let ((), written) = through(writer, self.budget.queue_bytes, context.progress, |sink| {
+            self.build(context, layer, buckets, Sink::Encoded(sink))
         })?;
         context.go_on()?;
         Ok(Written { nodes: with_subtrees(written.nodes), ..written })
@@ -149,7 +125,6 @@ pub(super) struct Layer<'a> {
     pub root: Cube,
     pub scans: &'a [ScanColumns<'a>],
     pub table: &'a ScanTable,
-    pub ids: ChunkIds,
 }
 
 /// The parameters of a site's trees.

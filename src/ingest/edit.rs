@@ -4,15 +4,15 @@ use super::batch::{Batch, add};
 use super::budget::peak_memory;
 use super::change::{Ground, ScanOrder};
 use super::context::{Context, Resources};
-use super::layers::{digest_of_all, fold_all, fold_if_many, joined, scan_table, taken_layers, withdraw};
+use super::layers::{digest_of_all, fold_all, joined, scan_table, taken_layers, withdraw};
 use super::measure::measure;
 use super::progress::{Progress, Stage};
 use super::report::{Report, Skipped, Stages};
-use super::run::opened;
+use super::run::{fold_at_last, opened};
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
-use crate::store::{Digest, Flip, Store, StoreError, WriterLock};
+use crate::store::{Digest, Flip, Store, StoreError, Temporary, WriterLock};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -132,7 +132,7 @@ pub fn replace(
             source.name = old.name.clone();
         }
         if let (true, Some(skipped)) = (sources.is_empty(), opened.skipped.first()) {
-            let Skipped { path: input, reason } = skipped.clone();
+            let Skipped { path: input, reason, .. } = skipped.clone();
             return Err(IngestError::NotReplaced { scan: scan.to_owned(), input, reason });
         }
         let mut report = Report { skipped: opened.skipped, ..Report::default() };
@@ -144,7 +144,7 @@ pub fn replace(
         let strict = options.strict;
         let batch = Batch { sources, measured, crs, replaced: &replaced, visible, strict, keep_going: false };
         add(context, &store, &mut writer, &batch, &mut stages, &mut report)?;
-        fold_if_many(context, &store, &mut writer)?;
+        fold_at_last(context, &store, &mut writer, &mut report)?;
         report.seconds = begun.elapsed().as_secs_f64();
         report.points_per_second = if report.seconds > 0.0 { report.points as f64 / report.seconds } else { 0.0 };
         report.peak_memory_bytes = peak_memory();
@@ -213,7 +213,9 @@ pub fn compact(
     let _alone = Context::run(copy, resources, progress, |context| context.when_free(|| WriterLock::take(copy)))?;
     free()?;
     // Under another name until it is whole.
-    let unfinished = PathBuf::from(format!("{}.partial", copy.display()));
+    let unfinished = Temporary::Copy.path(copy, 0);
+    // What runs that were cut off have left.
+    Temporary::Copy.there(copy).unwrap_or_default().iter().for_each(|left| remove_copy(left));
     let bytes_before = file_bytes(path);
     let copied = Context::run(path, resources, progress, |context| {
         let store = Store::open(path)?;
@@ -222,8 +224,6 @@ pub fn compact(
             Err(IngestError::Store(StoreError::ReadOnly { .. })) => None,
             writer => Some(writer?),
         };
-        // What a run that was cut off has left.
-        remove_copy(&unfinished);
         context.unless_cancelled(|stop| store.copy_to(&unfinished, stop))?;
         Ok(())
     })

@@ -121,7 +121,7 @@ pub enum IngestError {
     },
     /// The store's lattice is fixed and the user asked for another.
     #[error(
-        "the store's quantum is {stored} and its phase {phase}; --quantum and --phase apply when a store is created"
+        "the store's quantum is {stored} and its phase {phase}, not what is asked for: --quantum, --phase and --lattice apply when a store is created"
     )]
     LatticeFixed {
         /// Its quantum per axis.
@@ -156,7 +156,7 @@ pub enum IngestError {
         missing: u64,
     },
     /// Not enough room.
-    #[error("{folder}: needs about {needed} for the store and {temp} for temporary data, has {free} free")]
+    #[error("{folder}: needs at least some {needed} for the store and {temp} for temporary data, has {free} free")]
     DiskFull {
         /// Where.
         folder: PathBuf,
@@ -192,7 +192,7 @@ pub enum IngestError {
     #[error("internal error: {0}; please report it")]
     Internal(String),
     /// Ctrl-C.
-    #[error("interrupted; the store is at its last commit, and the same command resumes")]
+    #[error("interrupted; what was committed counts, and the same command goes on from there")]
     Interrupted,
 }
 

@@ -7,7 +7,7 @@
 
 use super::IngestError;
 use super::build::Sink;
-use super::bulk::{Layer, Room, params};
+use super::bulk::{LEAST_SHARE, Layer, Room, params};
 use super::change::{Edit, Ground, Point, change, point_bytes, touched, touched_by_removal};
 use super::context::Context;
 use super::gather::ScanColumns;
@@ -16,9 +16,7 @@ use super::progress::Stage;
 use super::stored::StoredPoints;
 use crate::lattice::{Cube, Key};
 use crate::store::model::{Scan, ScanId, Site, StoredAttribute};
-use crate::store::{
-    ChunkIds, Digest, Digester, Flip, NodeChange, Nodes, ScanTable, Snapshot, Store, StoreError, Writer,
-};
+use crate::store::{Digest, Digester, Flip, NodeChange, Nodes, ScanTable, Snapshot, Store, StoreError, Writer};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
@@ -119,7 +117,7 @@ pub(super) fn rebuild(
     for &layer in layers {
         edit.delete.extend(all_nodes(&snapshot.nodes(), layer)?);
     }
-    let source = Source { snapshot, layers, ids: writer.chunk_ids(), attributes: writer.attributes().to_vec() };
+    let source = Source { snapshot, layers, attributes: writer.attributes().to_vec() };
     source.built(context, into, wanted, |room, layer, buckets| {
         edit.root = Some(layer.root);
         let written = room.write(context, writer, layer, buckets)?;
@@ -137,7 +135,7 @@ pub(super) fn digest_of_all(context: &Context<'_>, snapshot: &Snapshot) -> Resul
     let digester = Digester::new(snapshot)?;
     let nodes = Mutex::new(BTreeMap::new());
     let attributes = snapshot.attributes().to_vec();
-    let source = Source { snapshot, layers: &layers, ids: ChunkIds::default(), attributes };
+    let source = Source { snapshot, layers: &layers, attributes };
     source.built(
         context,
         0,
@@ -159,7 +157,6 @@ pub(super) fn digest_of_all(context: &Context<'_>, snapshot: &Snapshot) -> Resul
 struct Source<'a> {
     snapshot: &'a Snapshot,
     layers: &'a [u16],
-    ids: ChunkIds,
     attributes: Vec<StoredAttribute>,
 }
 
@@ -176,7 +173,7 @@ impl Source<'_> {
         let stored = StoredPoints::new(context.path, self.snapshot, Some(self.layers), 0, wanted)?;
         let plans = stored.row_plans();
         let (points, payload) = (stored.points(), stored.payload_bytes());
-        let room = Room::new(context, site.g, stored.bounds(), points, payload, payload / 2)?;
+        let room = Room::new(context, site.g, stored.bounds(), points, payload, payload / LEAST_SHARE)?;
         let partition = room.partition(&site.lattice);
         context.progress.stage(Stage::Read, points);
         let bounds = if room.wide {
@@ -191,7 +188,7 @@ impl Source<'_> {
         let columns: Vec<_> =
             scans.map(|(s, plan)| ScanColumns::new(s.id, s.identity, plan, s.attributes.clone())).collect();
         let table = scan_table(&self.attributes, stored.scans().iter().copied());
-        let layer = Layer { layer: into, params: params(site), root, scans: &columns, table: &table, ids: self.ids };
+        let layer = Layer { layer: into, params: params(site), root, scans: &columns, table: &table };
         context.progress.stage(Stage::Build, points);
         build(&room, &layer, buckets)
     }

@@ -1,7 +1,7 @@
 //! Several stores on one lattice to one: what a single ingest of everything would have given.
 
 use super::IngestError;
-use super::bulk::{Layer, Room, params};
+use super::bulk::{LEAST_SHARE, Layer, Room, params};
 use super::context::{Context, Resources};
 use super::gather::ScanColumns;
 use super::layers::scan_table;
@@ -94,10 +94,9 @@ fn left_by_a_crash(out: &Path) -> Result<Option<Writer>, IngestError> {
         return Ok(None);
     }
     let is_new = || {
-        let store = Store::open(out).ok()?;
         // Whoever is writing to it holds the lock.
-        let writer = store.writer().ok()?;
-        (store.snapshot().ok()?.generation() == 0).then_some(writer)
+        let writer = Store::open(out).ok()?.writer().ok()?;
+        writer.is_provisional().then_some(writer)
     };
     if let Some(writer) = is_new() {
         return Ok(Some(writer));
@@ -214,7 +213,7 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
     let points: u64 = parts.iter().map(StoredPoints::points).sum();
     let payload: u64 = parts.iter().map(StoredPoints::payload_bytes).sum();
     let hint = parts.iter().filter_map(StoredPoints::bounds).reduce(|a, b| a.union(&b));
-    let room = Room::new(context, site.g, hint, points, payload, payload / 2)?;
+    let room = Room::new(context, site.g, hint, points, payload, payload / LEAST_SHARE)?;
     let partition = room.partition(&site.lattice);
     context.progress.stage(Stage::Read, points);
     let mut bounds: Option<LatticeBox> = None;
@@ -236,8 +235,7 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
             .map(|(s, plan)| ScanColumns::new(s.id, s.identity, plan, s.attributes.clone()))
             .collect();
         let table = scan_table(writer.attributes(), &scans);
-        let ids = writer.chunk_ids();
-        let layer = Layer { layer: 0, params: params(site), root, scans: &columns, table: &table, ids };
+        let layer = Layer { layer: 0, params: params(site), root, scans: &columns, table: &table };
         context.progress.stage(Stage::Build, points);
         flip.nodes = NodeChange::ReplaceAll(room.write(context, writer, &layer, buckets)?.nodes);
         flip.roots = Some(vec![Some(root)]);

@@ -60,13 +60,20 @@ pub struct ScanReport {
     pub warnings: Vec<String>,
 }
 
-/// An input that was not read.
+/// An input that was passed over.
 #[derive(Clone, Debug, Serialize)]
 pub struct Skipped {
     /// The file.
     pub path: String,
     /// Why.
     pub reason: String,
+    /// Points that were rejected when the scan that is there already was read.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub rejected: u64,
+}
+
+fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 /// Wall time and points by stage, summed over the batches of a run.

@@ -60,13 +60,15 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
             None
         }
     };
+    // Of a first ingest that was cut off: neither its lattice nor its CRS counts.
+    let is_provisional = open.as_ref().is_some_and(|(_, writer)| writer.is_provisional());
     let (stored, site_crs) = match &open {
-        Some((store, _)) => {
+        Some((store, _)) if !is_provisional => {
             let snapshot = store.snapshot()?;
             refuse_another_lattice(options, &snapshot.site().lattice)?;
             (snapshot.scans().to_vec(), snapshot.site().crs.clone())
         }
-        None => (Vec::new(), None),
+        _ => (Vec::new(), None),
     };
     let opened = sources::open(inputs, options, &stored, context.progress)?;
     let mut report = Report { skipped: opened.skipped.clone(), ..Report::default() };
@@ -82,15 +84,23 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
         return Ok(report);
     }
     report.notes.extend(notes);
+    let is_text = |source: &Source| !source.reader.info().options.is_empty();
+    if options.columns.is_some() && !rest.sources.iter().any(is_text) {
+        report.notes.push("no input is a file of text: the names of columns are of no use".into());
+    }
 
-    let created = open.is_none();
+    let created = open.is_none() || is_provisional;
     let (store, mut writer) = match open.take() {
-        Some(open) => open,
-        None => {
+        Some(open) if !is_provisional => open,
+        left => {
             let (lattice, notes) = choose(&evidence(&rest.sources, &rest.measured), &options.lattice)?;
             report.notes.extend(notes);
             let site = SiteOptions { lattice, g: options.g, leaf_capacity: options.leaf_capacity, crs: crs.clone() };
-            match Store::create_with_writer(context.path, site) {
+            let made = match left {
+                Some((store, mut writer)) => writer.begin_anew(site).map(|()| (store, writer)),
+                None => Store::create_with_writer(context.path, site),
+            };
+            match made {
                 // Somebody else has come first, and their store is gone on with. (A link that leads nowhere is no store.)
                 Err(StoreError::AlreadyThere { .. } | StoreError::InUse { .. })
                     if context.wait && !context.path.is_symlink() =>
@@ -124,7 +134,11 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
         let failure = match added {
             Ok(()) => {
                 rest.drop_first(range.len());
-                fold_if_many(context, &store, &mut writer)?;
+                if rest.sources.is_empty() {
+                    fold_at_last(context, &store, &mut writer, &mut report)?;
+                } else {
+                    fold_if_many(context, &store, &mut writer)?;
+                }
                 continue;
             }
             // It is read once more without them.
@@ -151,6 +165,26 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
     report.peak_memory_bytes = peak_memory();
     report.stages = stages.into_reports();
     Ok(report)
+}
+
+/// Joins layers if there are many, as the last thing that is done. That it can't be done is no error: what was committed counts,
+/// queries see all layers, and the next change tries again.
+pub(super) fn fold_at_last(
+    context: &Context<'_>,
+    store: &Store,
+    writer: &mut Writer,
+    report: &mut Report,
+) -> Result<(), IngestError> {
+    match fold_if_many(context, store, writer) {
+        Ok(_) => Ok(()),
+        Err(IngestError::Interrupted) => Err(IngestError::Interrupted),
+        Err(error) => {
+            report
+                .notes
+                .push(format!("all is stored, but the store's layers could not be joined: {}", in_full(&error)));
+            Ok(())
+        }
+    }
 }
 
 /// A store and its writer.
@@ -217,7 +251,7 @@ impl Rest {
 fn left_out(unreadable: &[(PathBuf, IngestError)]) -> Vec<Skipped> {
     let mut all: Vec<_> = unreadable
         .iter()
-        .map(|(path, error)| Skipped { path: path.display().to_string(), reason: in_full(error) })
+        .map(|(path, error)| Skipped { path: path.display().to_string(), reason: in_full(error), rejected: 0 })
         .collect();
     all.sort_by(|a, b| a.path.cmp(&b.path));
     all

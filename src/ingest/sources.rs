@@ -7,7 +7,7 @@ use super::report::Skipped;
 use super::{IngestError, IngestOptions};
 use crate::formats::{self, PointSource, ReadOptions};
 use crate::geometry::Pose;
-use crate::points::Crs;
+use crate::points::{Crs, counted};
 use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ pub(super) fn open(
     let mut skipped: Vec<_> = listed
         .skipped
         .iter()
-        .map(|path| Skipped { path: path.display().to_string(), reason: "not a point file".into() })
+        .map(|path| Skipped { path: path.display().to_string(), reason: "not a point file".into(), rejected: 0 })
         .collect();
     if listed.files.is_empty() {
         let hint = if options.recursive { "" } else { " (--recursive looks into folders below)" };
@@ -131,7 +131,14 @@ pub(super) fn open(
             source.content = Some(content);
             let identity = source.identity(&content);
             if let Some(reason) = by_identity.get(&identity) {
-                skipped.push(Skipped { path: source.label(), reason: reason.clone() });
+                let scan = stored.iter().find(|s| s.identity == identity);
+                let kept = scan.map_or("", |s| kept_of(s, options));
+                let rejected = scan.map_or(0, |s| s.read - s.stored);
+                let lost = match rejected {
+                    0 => String::new(),
+                    _ => format!("; {} rejected then", counted(rejected, "point")),
+                };
+                skipped.push(Skipped { path: source.label(), reason: format!("{reason}{lost}{kept}"), rejected });
                 continue;
             }
             if let Some(scan) = source.with_another_pose(&content, stored) {
@@ -152,6 +159,18 @@ pub(super) fn open(
         sources.push(source);
     }
     Ok(Sources { sources, skipped, unreadable })
+}
+
+/// What a scan that is there already keeps, though the options ask for something else.
+fn kept_of(scan: &Scan, options: &IngestOptions) -> &'static str {
+    let name = options.name.as_ref().is_some_and(|name| *name != scan.name);
+    let crs = options.crs.as_ref().is_some_and(|crs| scan.crs.as_ref() != Some(crs));
+    match (name, crs) {
+        (true, true) => "; its name and its CRS stay as they are",
+        (true, false) => "; its name stays as it is",
+        (false, true) => "; its CRS stays as it is",
+        (false, false) => "",
+    }
 }
 
 /// The scans of a file.
@@ -299,7 +318,8 @@ pub(super) fn agree_on_crs(
     let without = sources.iter().filter(|s| s.crs.is_none()).count();
     if let (Some(crs), true) = (&site, without > 0) {
         let from = of.map(|p| format!(" of {}", p.display())).unwrap_or_default();
-        notes.push(format!("{without} of the inputs name no CRS and take the site's, {}{from}", crs.describe()));
+        let names = if without == 1 { "input names no CRS and takes" } else { "inputs name no CRS and take" };
+        notes.push(format!("{without} {names} the site's, {}{from}", crs.describe()));
     }
     Ok((site, notes))
 }

@@ -4,7 +4,7 @@
 //! budget is there to limit.
 
 use super::IngestError;
-use crate::store::spill_path;
+use crate::store::Temporary;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -91,12 +91,12 @@ impl Place {
 impl Spill {
     /// Creates `STORE.spill-PID-N`.
     pub fn create(store: &Path) -> Result<Self, IngestError> {
-        let path = spill_path(store, &format!("{}-{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed)));
+        let path = Temporary::Spill.path(store, NEXT.fetch_add(1, Ordering::Relaxed));
+        // The writer, who holds the lock, has removed those that a process of the same number had left.
         let file = File::options()
             .read(true)
             .write(true)
-            .create(true)
-            .truncate(true)
+            .create_new(true)
             .open(&path)
             .map_err(|source| IngestError::Spill { path: path.clone(), action: "creating", source })?;
         Ok(Self { file, path, end: AtomicU64::new(0), free: Mutex::default() })

@@ -1,11 +1,12 @@
 //! From the threads that encode to the one that writes.
 
 use super::IngestError;
+use super::progress::Progress;
+use super::queue::Queue;
 use crate::store::model::{NodeHead, Zones};
 use crate::store::{EncodedNode, StoreError, Writer};
-use std::sync::mpsc::sync_channel;
 
-/// Takes encoded nodes, from any thread.
+/// Takes encoded nodes, from any thread. Their rows are numbered when they are written.
 pub(super) type Sink<'a> = &'a (dyn Fn(EncodedNode) -> Result<(), IngestError> + Sync);
 
 /// What was written: rows that count once they are committed.
@@ -17,29 +18,39 @@ pub(super) struct Written {
     pub chunks: u64,
 }
 
-/// Runs `encode`, whose nodes are written as they come by a thread of its own; `queue` of them may wait.
+/// Runs `encode`, whose nodes are written as they come by a thread of its own; so many bytes of them may wait.
 pub(super) fn through<R>(
     writer: &mut Writer,
-    queue: usize,
+    queue_bytes: usize,
+    progress: &dyn Progress,
     encode: impl FnOnce(Sink<'_>) -> Result<R, IngestError>,
 ) -> Result<(R, Written), IngestError> {
-    let (sender, receiver) = sync_channel::<EncodedNode>(queue);
+    let queue = Queue::new(queue_bytes);
+    let ids = writer.chunk_ids();
     std::thread::scope(|scope| {
-        let writing = scope.spawn(move || {
+        let writing = scope.spawn(|| {
+            let _leaves = queue.leaves();
             let mut written = Written::default();
-            for node in receiver {
-                writer.put_chunks(&node.chunks)?;
+            while let Some(mut node) = queue.pop() {
+                node.renumber(&ids);
+                writer.put_chunks_unless(&node.chunks, &|| progress.cancelled())?;
                 written.chunks += node.chunks.len() as u64;
                 written.nodes.push((node.head, node.zones));
             }
             Ok::<_, StoreError>(written)
         });
-        // The writer only stops listening when it has failed, and says why when it is joined.
-        let sink = |node| sender.send(node).map_err(|_| IngestError::Internal("the writer has stopped".into()));
+        let ends = queue.ends();
+        // The writer only stops taking when it has failed, and says why when it is joined.
+        let sink = |node| {
+            let taken = queue.push(node);
+            taken.then_some(()).ok_or_else(|| IngestError::Internal("the writer has stopped".into()))
+        };
         let encoded = encode(&sink);
-        drop(sender);
+        drop(ends);
         let written = writing.join().map_err(|_| IngestError::Internal("the writer broke down".into()))?;
         match (encoded, written) {
+            // Whoever is told to stop waits for no reader.
+            (_, Err(_)) if progress.cancelled() => Err(IngestError::Interrupted),
             (_, Err(error)) => Err(error.into()),
             (Err(error), Ok(_)) => Err(error),
             (Ok(result), Ok(written)) => Ok((result, written)),

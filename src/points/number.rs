@@ -1,6 +1,6 @@
 //! A value of an attribute of any type, exactly; and counts in words.
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use std::fmt;
 
 /// A value of any type of attribute; whole ones keep all their digits, also where an f64 has not so many.
@@ -12,6 +12,7 @@ pub enum Number {
     /// Of a signed type.
     Signed(i64),
     /// Of a floating-point type, or scaled.
+    #[serde(serialize_with = "as_json")]
     Float(f64),
 }
 
@@ -33,6 +34,15 @@ impl fmt::Display for Number {
             Self::Signed(v) => v.fmt(f),
             Self::Float(v) => v.fmt(f),
         }
+    }
+}
+
+/// JSON has no infinite numbers: they are the strings `"inf"` and `"-inf"`, and NaN is null.
+fn as_json<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    match *value {
+        f64::INFINITY => serializer.serialize_str("inf"),
+        f64::NEG_INFINITY => serializer.serialize_str("-inf"),
+        value => serializer.serialize_f64(value),
     }
 }
 

@@ -16,8 +16,8 @@ pub struct Answer {
     pub error_bound_px: Option<f64>,
     /// Does the region lie wholly outside the bounds of the store's points?
     pub region_misses_site: bool,
-    /// Matching points on the maximum faces of the query's box, which is half-open and does not have them; `None` where
-    /// they were not counted, which is done at full detail only.
+    /// Matching points on the maximum faces of the query's box, which is half-open and does not have them; of several boxes
+    /// those that none of them has. `None` where they were not counted, which is done at full detail only.
     pub on_maximum_faces: Option<u64>,
     /// What it cost.
     #[serde(flatten)]

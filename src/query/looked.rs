@@ -11,6 +11,9 @@ use crate::store::NodeIx;
 /// Of so many points is remembered where they are, of the coarsest.
 const HELD_POINTS: usize = if cfg!(test) { 40 } else { 1 << 20 };
 
+/// Pieces of so many points are looked at together, and at least one for each thread.
+const WINDOW_POINTS: u64 = 4 << 20;
+
 /// The node, the part of it, the place in that.
 pub(crate) type Place = (NodeIx, u32, u32);
 
@@ -104,10 +107,13 @@ impl Looked {
         let mut facts: Vec<Facts> = Vec::new();
         let mut held = holds.then_some(Step::COUNT as u8 - 1);
         loop {
-            let mut window = Vec::new();
+            let (mut window, mut points) = (Vec::new(), 0);
+            // All of what is in a window may be remembered before the first of it is forgotten.
             while window.len() < plan.window()
+                && (held.is_none() || points < WINDOW_POINTS || window.len() < plan.threads())
                 && let Some(piece) = pieces.next(plan)?
             {
+                points += piece.points(plan);
                 window.push(piece);
             }
             if window.is_empty() {

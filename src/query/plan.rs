@@ -16,8 +16,8 @@ use crate::points::{Attribute, Positions, ScalarType};
 use crate::store::model::{ScanId, Slot, StoredAttribute};
 use crate::store::{Node, NodeIx, Nodes, Snapshot};
 use rayon::prelude::*;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// A query, ready to run.
@@ -29,7 +29,7 @@ pub(crate) struct Plan {
     pub lattice: Lattice,
     pub g: u8,
     pub region: LatticeRegion,
-    /// The half-open box, where `region` is the closed one: the points between them are counted, not taken.
+    /// The half-open box or boxes, where `region` is the closed one: the points between them are counted, not taken.
     pub taken: Option<LatticeRegion>,
     pub filter: Option<BoundFilter>,
     /// What the filter looks at.
@@ -132,7 +132,7 @@ impl Plan {
         self.roots.iter().find(|root| root.subtree().contains(&node)).map(|root| root.layer)
     }
 
-    /// Looks at the points on a box's maximum faces, too, to count them.
+    /// Looks at the points on the maximum faces of a box or of several, too, to count them.
     pub fn count_faces(&mut self, asked: &Region) -> Result<(), QueryError> {
         let closed = asked.closed_on(&self.lattice).on_lattice(&self.lattice)?;
         self.taken = Some(std::mem::replace(&mut self.region, closed));
@@ -250,8 +250,8 @@ impl Plan {
         items: Vec<T>,
         work: impl Fn(T) -> Result<R, QueryError> + Sync,
     ) -> Result<Vec<R>, QueryError> {
-        if self.threads == Some(1) {
-            return items.into_iter().map(work).collect();
+        if let Some(threads) = self.threads.filter(|&threads| threads < rayon::current_num_threads()) {
+            return on_threads(threads, items, work);
         }
         // Collected before an error is picked, so that of several it is always the first.
         items.into_par_iter().map(&work).collect::<Vec<_>>().into_iter().collect()
@@ -259,7 +259,12 @@ impl Plan {
 
     /// Tasks that are worked on together, where that is done in rounds: enough that no thread waits for long.
     pub fn window(&self) -> usize {
-        16 * self.threads.unwrap_or_else(rayon::current_num_threads)
+        16 * self.threads()
+    }
+
+    /// The threads that work at a time.
+    pub fn threads(&self) -> usize {
+        self.threads.unwrap_or_else(rayon::current_num_threads)
     }
 
     /// Adds to an answer what is known in the end.
@@ -405,4 +410,53 @@ fn columns(
     columns.sort_by(|a, b| a.attribute.identity().cmp(&b.attribute.identity()));
     columns.dedup_by_key(|c| c.id);
     Ok(columns)
+}
+
+/// Does `work` for each of the items on so many threads; the results are in the items' order.
+fn on_threads<T: Send, R: Send>(
+    threads: usize,
+    items: Vec<T>,
+    work: impl Fn(T) -> Result<R, QueryError> + Sync,
+) -> Result<Vec<R>, QueryError> {
+    if threads < 2 {
+        return items.into_iter().map(work).collect();
+    }
+    let rest = Mutex::new(items.into_iter().enumerate());
+    let next = || rest.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let done = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while let Some((i, item)) = next() {
+                    let result = work(item);
+                    done.lock().unwrap_or_else(PoisonError::into_inner).push((i, result));
+                }
+            });
+        }
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_unstable_by_key(|(i, _)| *i);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A number above one was taken for all.
+    #[test]
+    fn work_is_done_on_so_many_threads_at_most_and_in_order() {
+        for threads in [1, 2, 3] {
+            let seen = Mutex::new(std::collections::HashSet::new());
+            let work = |i: u64| {
+                seen.lock().unwrap().insert(std::thread::current().id());
+                std::thread::sleep(std::time::Duration::from_millis(i % 3));
+                if i == 77 { Err(QueryError::Cancelled) } else { Ok(i * i) }
+            };
+            let done = on_threads(threads, (0..60).collect(), work).unwrap();
+            assert_eq!(done, (0..60).map(|i| i * i).collect::<Vec<u64>>());
+            assert!(on_threads(threads, (0..90).collect(), work).is_err());
+            assert!(seen.lock().unwrap().len() <= 2 * threads);
+        }
+    }
 }

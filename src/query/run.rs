@@ -250,7 +250,7 @@ fn thinned(
 
 /// Every matching point.
 fn everything(plan: &mut Plan, region: &Region, counting: bool) -> Result<(Vec<Task>, Answer), QueryError> {
-    if matches!(region, Region::Box { .. }) {
+    if region.is_of_boxes() {
         plan.count_faces(region)?;
     }
     let plan = &*plan;

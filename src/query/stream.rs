@@ -20,6 +20,9 @@ pub(crate) type Source<T> = Box<dyn Iterator<Item = Result<T, QueryError>> + Sen
 /// they are in the processor's cache and their memory is used again.
 const POINTS_IN_FLIGHT: u64 = 128 * 1024;
 
+/// A task counts as so many points, at least.
+const LEAST_POINTS: u64 = 1024;
+
 /// The results of tasks in the order of the tasks, as an iterator; it ends after an error.
 ///
 /// The pool's threads never wait: a task is given to them only when there is room for its result, and that is when the
@@ -81,7 +84,8 @@ impl<T: Send + 'static, R: Send + 'static> Stream<T, R> {
                 }
                 Some(Ok(task)) => task,
             };
-            let points = (self.points)(&task);
+            // What has no point of its own takes room, too: its result waits.
+            let points = (self.points)(&task).max(LEAST_POINTS);
             let number = self.first + self.waiting.len() as u64;
             self.in_flight += points;
             self.waiting.push_back((points, None));

@@ -12,7 +12,7 @@ use crate::points::{Attribute, Batch, Column, Number, Real, ScalarType, Scaling}
 use crate::store::Snapshot;
 use crate::store::model::{ScanId, StoredAttribute};
 use crate::with_column;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -31,7 +31,12 @@ pub struct AttributeSummary {
     /// The greatest value.
     pub max: Option<Number>,
     /// The mean.
+    #[serde(serialize_with = "mean_as_json")]
     pub mean: Option<f64>,
+}
+
+fn mean_as_json<S: Serializer>(mean: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+    mean.map(Number::Float).serialize(serializer)
 }
 
 impl Query {

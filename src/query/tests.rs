@@ -44,7 +44,7 @@ fn asked() -> impl Strategy<Value = Asked> {
     // Corners relative to the middle of the points, in quarters of a quantum: on faces of cells and between points.
     let corner = || prop::array::uniform3(-30_i32..280);
     let scans = prop::sample::select(vec![None, None, Some("north"), Some("roof"), Some("2")]);
-    (0_u8..6, corner(), corner(), 0..FILTERS.len(), scans).prop_map(|(kind, a, b, filter, scans)| {
+    (0_u8..7, corner(), corner(), 0..FILTERS.len(), scans).prop_map(|(kind, a, b, filter, scans)| {
         let world = |c: [i32; 3]| c.map(|v| f64::from(v) / 4.0 * QUANTUM);
         let (low, high) = (std::array::from_fn(|i| a[i].min(b[i])), std::array::from_fn(|i| a[i].max(b[i])));
         let (mut min, mut max) = (world(low), world(high));
@@ -61,6 +61,14 @@ fn asked() -> impl Strategy<Value = Asked> {
                 max[2] = f64::INFINITY;
                 Region::new_box(min, max).unwrap()
             }
+            // Neighbours, or boxes that overlap.
+            4 => {
+                let middle = f64::from(a[0].midpoint(b[1])) / 4.0 * QUANTUM;
+                let (mut left, mut right) = (max, min);
+                (left[0], right[0]) = (middle.clamp(min[0], max[0]), middle.clamp(min[0], max[0]));
+                right[1] -= f64::from(b[0].rem_euclid(2)) * QUANTUM;
+                Region::any([Region::new_box(min, left).unwrap(), Region::new_box(right, max).unwrap()])
+            }
             _ => Region::new_box(min, max).unwrap(),
         };
         Asked { region, filter, scans }
@@ -75,6 +83,7 @@ fn moved(region: &Region, test: &TestStore) -> Region {
     match *region {
         Region::Box { min, max } => Region::Box { min: shift(min), max: shift(max) },
         Region::Sphere { center, radius } => Region::Sphere { center: shift(center), radius },
+        Region::Any(ref terms) => Region::Any(terms.iter().map(|term| moved(term, test)).collect()),
         _ => region.clone(),
     }
 }
@@ -207,7 +216,7 @@ proptest! {
             prop_assert_eq!(answer.on_maximum_faces, count.on_maximum_faces);
             let region = moved(&asked.region, &test);
             let closed = asked.query(&test).region(region.closed_on(&test.lattice)).count(&test.snapshot).unwrap();
-            let on_faces = matches!(region, Region::Box { .. }).then_some(closed.points - count.points);
+            let on_faces = region.is_of_boxes().then_some(closed.points - count.points);
             prop_assert_eq!(count.on_maximum_faces, on_faces);
             // Again, in the same order.
             prop_assert_eq!(collect(asked.query(&test), &test).0, found);

@@ -140,7 +140,9 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// The place can't be written.
-    #[error("{path}: cannot be written (read-only file, folder or medium); copy it to a writable place")]
+    #[error(
+        "{path}: cannot be written (read-only file, folder or medium); copy the store to a place that can be written, or name one"
+    )]
     ReadOnly {
         /// The store.
         path: PathBuf,

@@ -5,8 +5,55 @@ use std::borrow::Cow;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-/// The start of the name of a temporary file of an ingest, after the store's own name: `STORE.spill-*`.
-pub const SPILL_SUFFIX: &str = ".spill-";
+/// A file beside a store that is nobody's once its process has ended: `STORE.spill-PROCESS-NUMBER`, `STORE.partial-PROCESS-NUMBER`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Temporary {
+    /// Rows of an ingest that do not fit its memory.
+    Spill,
+    /// A copy of another store that is not complete.
+    Copy,
+}
+
+impl Temporary {
+    /// What comes after the store's own name.
+    fn suffix(self) -> &'static str {
+        match self {
+            Self::Spill => ".spill-",
+            Self::Copy => ".partial-",
+        }
+    }
+
+    /// The file beside this store; `number` tells several of this process apart.
+    pub fn path(self, store: &Path, number: u64) -> PathBuf {
+        beside(store, &format!("{}{}-{number}", self.suffix(), std::process::id()))
+    }
+
+    /// Those that are there; only what has a lock on the store may take them for left behind.
+    ///
+    /// # Errors
+    ///
+    /// If the folder can't be read.
+    pub fn there(self, store: &Path) -> std::io::Result<Vec<PathBuf>> {
+        let Some(name) = store.file_name() else { return Ok(Vec::new()) };
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(folder_of(store))? {
+            let entry = entry?;
+            let other = entry.file_name();
+            let rest = other.as_encoded_bytes().strip_prefix(name.as_encoded_bytes());
+            if rest.is_some_and(|rest| self.is_ending(rest)) && entry.file_type()?.is_file() {
+                found.push(entry.path());
+            }
+        }
+        Ok(found)
+    }
+
+    /// Is it the suffix and two numbers? Anything else is the name of a user's file.
+    fn is_ending(self, ending: &[u8]) -> bool {
+        let Some(numbers) = ending.strip_prefix(self.suffix().as_bytes()) else { return false };
+        let numbers: Vec<&[u8]> = numbers.split(|&b| b == b'-').collect();
+        numbers.len() == 2 && numbers.iter().all(|n| !n.is_empty() && n.iter().all(u8::is_ascii_digit))
+    }
+}
 
 /// `path` with something appended to its file name.
 pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
@@ -28,7 +75,9 @@ pub fn followed(path: &Path) -> Cow<'_, Path> {
 /// writer would cut it off or remove it.
 pub(super) fn is_named_as_beside(path: &Path) -> bool {
     let name = path.as_os_str().as_encoded_bytes();
+    let is_spill = |at: usize| Temporary::Spill.is_ending(&name[at..]);
     ["-wal", "-shm", "-journal", "-lock"].iter().any(|suffix| name.ends_with(suffix.as_bytes()))
+        || name.iter().rposition(|&b| b == b'.').is_some_and(is_spill)
 }
 
 /// The write-ahead log.
@@ -80,26 +129,11 @@ pub fn check_folder(path: &Path) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// The path of a temporary file of an ingest into this store; `tag` tells several apart. What a crash leaves of such
-/// files is removed by the next writer.
-pub fn spill_path(store: &Path, tag: &str) -> PathBuf {
-    beside(store, &format!("{SPILL_SUFFIX}{tag}"))
-}
-
 /// Removes files of crashed ingests; the caller holds the writer's lock. Gives how many there were.
 pub(super) fn remove_spills(path: &Path) -> std::io::Result<u64> {
-    let Some(name) = path.file_name() else { return Ok(0) };
-    let mut prefix = name.to_os_string();
-    prefix.push(SPILL_SUFFIX);
-    let mut removed = 0;
-    for entry in std::fs::read_dir(folder_of(path))? {
-        let entry = entry?;
-        if entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes()) {
-            std::fs::remove_file(entry.path())?;
-            removed += 1;
-        }
-    }
-    Ok(removed)
+    let left = Temporary::Spill.there(path)?;
+    left.iter().try_for_each(std::fs::remove_file)?;
+    Ok(left.len() as u64)
 }
 
 /// An SQLite URI for the file, with every special byte of the path escaped.
@@ -135,11 +169,19 @@ mod tests {
     fn only_spills_of_this_store_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         let store = folder.path().join("a.esker");
-        let other = spill_path(&folder.path().join("aa.esker"), "1");
-        for path in [spill_path(&store, "1"), spill_path(&store, "2"), other.clone(), wal(&store)] {
-            std::fs::write(path, b"x").unwrap();
-        }
+        let other = Temporary::Spill.path(&folder.path().join("aa.esker"), 1);
+        // What a user may call a file, a store even.
+        let users = ["2", "report.txt", "1-2.txt", "1-", "-2", "1-2-3", "a.esker"]
+            .map(|tag| beside(&store, &format!(".spill-{tag}")));
+        let spills = [Temporary::Spill.path(&store, 1), Temporary::Spill.path(&store, 2)];
+        let kept: Vec<PathBuf> =
+            users.iter().chain([&other]).cloned().chain([wal(&store), Temporary::Copy.path(&store, 1)]).collect();
+        spills.iter().chain(&kept).for_each(|path| std::fs::write(path, b"x").unwrap());
+        let folder_of_that_name = beside(&store, ".spill-7-7");
+        std::fs::create_dir(&folder_of_that_name).unwrap();
         assert_eq!(remove_spills(&store).unwrap(), 2);
-        assert!(other.exists() && wal(&store).exists());
+        assert!(kept.iter().all(|path| path.exists()) && folder_of_that_name.exists());
+        assert!(spills.iter().all(|path| is_named_as_beside(path)));
+        assert!(users.iter().all(|path| !is_named_as_beside(path)));
     }
 }

@@ -7,7 +7,7 @@ use super::files::{beside, followed, journal, wal};
 use super::interrupt::unless;
 use super::lock::WriterLock;
 use super::log::LogMark;
-use super::model::Site;
+use super::model::{ScanId, Site};
 use super::place::{Limits, Place, lock};
 use super::rows::{SiteRow, load_generation, put_site};
 use super::snapshot::{Inner, Snapshot};
@@ -37,6 +37,12 @@ impl SiteOptions {
     pub fn new(lattice: Lattice) -> Self {
         let (g, leaf_capacity) = (super::model::FORMAT_G, super::model::FORMAT_LEAF_CAPACITY);
         Self { lattice, g, leaf_capacity, crs: None }
+    }
+
+    /// The site before the first commit.
+    pub(super) fn into_site(self) -> Site {
+        let Self { lattice, g, leaf_capacity, crs } = self;
+        Site { lattice, g, leaf_capacity, roots: vec![None], crs, generation: 0 }
     }
 }
 
@@ -83,29 +89,24 @@ impl Store {
     /// [`StoreError::AlreadyThere`], [`StoreError::InUse`], [`StoreError::ReadOnly`], [`StoreError::Full`],
     /// [`StoreError::Io`].
     pub fn create(path: impl AsRef<Path>, options: SiteOptions) -> Result<Self, StoreError> {
-        Self::create_locked(path.as_ref(), options).map(|(store, _)| store)
+        Self::create_locked(path.as_ref(), options, FIRST_SCAN).map(|(store, _)| store)
     }
 
-    /// As [`Store::create`], with the one writer: nobody else can come first.
+    /// As [`Store::create`], with the one writer: nobody else can come first. Until the first commit the store is provisional:
+    /// if that is never made, whoever comes next may give it another site ([`Writer::begin_anew`]).
     ///
     /// # Errors
     ///
     /// As [`Store::create`].
     pub fn create_with_writer(path: impl AsRef<Path>, options: SiteOptions) -> Result<(Self, Writer), StoreError> {
-        let (store, lock) = Self::create_locked(path.as_ref(), options)?;
+        let (store, lock) = Self::create_locked(path.as_ref(), options, PROVISIONAL)?;
         let writer = Writer::open_locked(&store.place, Some(lock))?;
         Ok((store, writer))
     }
 
-    fn create_locked(path: &Path, options: SiteOptions) -> Result<(Self, WriterLock), StoreError> {
+    fn create_locked(path: &Path, options: SiteOptions, next_scan: ScanId) -> Result<(Self, WriterLock), StoreError> {
         let path = &*followed(path);
-        let io = |source: std::io::Error| match source.kind() {
-            std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
-                StoreError::ReadOnlyFolder { path: path.into() }
-            }
-            std::io::ErrorKind::StorageFull => StoreError::Full { path: path.into() },
-            _ => StoreError::Io { path: path.into(), action: "making the store", source },
-        };
+        let io = |source| not_made(path, source);
         if path.is_dir() {
             return Err(StoreError::Directory { path: path.into() });
         }
@@ -131,7 +132,7 @@ impl Store {
                 _ => {}
             }
         }
-        let made = connection::create(Some(path), |c| put_site(c, &first_row(options)));
+        let made = connection::create(Some(path), |c| put_site(c, &first_row(options, next_scan)));
         match made {
             Ok(_) => Ok((Self::open(path)?, lock)),
             Err(e) => {
@@ -168,7 +169,7 @@ impl Store {
     ///
     /// [`StoreError::Sqlite`] if there is no memory.
     pub fn in_memory(options: SiteOptions) -> Result<Self, StoreError> {
-        let made = connection::create(None, |c| put_site(c, &first_row(options)));
+        let made = connection::create(None, |c| put_site(c, &first_row(options, FIRST_SCAN)));
         made.map(|c| Self::at(Place::memory(c))).map_err(|e| e.at(Path::new("(store in memory)")))
     }
 
@@ -244,13 +245,18 @@ impl Store {
     /// [`StoreError::AlreadyThere`], [`StoreError::Full`] and [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; no
     /// copy is left then.
     pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
-        if path.exists() {
-            return Err(StoreError::AlreadyThere { path: path.into() });
-        }
         let Some(text) = path.to_str() else {
             let what = "the copy's path is no UTF-8".into();
             return Err(StoreError::Inconsistent { path: path.into(), what });
         };
+        // An empty file may be copied into, and is nobody else's: what is removed after an error is this one.
+        match OpenOptions::new().write(true).create_new(true).open(path) {
+            Ok(_) => {}
+            Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
+                return Err(StoreError::AlreadyThere { path: path.into() });
+            }
+            Err(e) => return Err(not_made(path, e)),
+        }
         let copy = |c: &Connection| unless(c, stop, |c| Ok(c.execute("VACUUM INTO ?", [text]).map(drop)?));
         let copied = match &*self.place {
             Place::Memory(memory) => copy(&lock(&memory.connection)).map_err(|e| self.place.error(e)),
@@ -284,16 +290,32 @@ impl Store {
     }
 }
 
-fn first_row(options: SiteOptions) -> SiteRow {
-    let SiteOptions { lattice, g, leaf_capacity, crs } = options;
+/// The number of a store's first scan.
+const FIRST_SCAN: ScanId = 1;
+
+/// What stands for it in a store that nothing counts of before its first commit.
+const PROVISIONAL: ScanId = 0;
+
+fn first_row(options: SiteOptions, next_scan: ScanId) -> SiteRow {
     SiteRow {
-        site: Site { lattice, g, leaf_capacity, roots: vec![None], crs, generation: 0 },
+        site: options.into_site(),
         store_id: rand::random(),
         next_chunk: 0,
-        next_scan: 1,
+        next_scan,
         nodes: 0,
         scans: 0,
         attributes: 0,
         log: LogMark::random(),
+    }
+}
+
+/// Why the file of a store could not be made.
+fn not_made(path: &Path, source: std::io::Error) -> StoreError {
+    match source.kind() {
+        std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::PermissionDenied => {
+            StoreError::ReadOnlyFolder { path: path.into() }
+        }
+        std::io::ErrorKind::StorageFull => StoreError::Full { path: path.into() },
+        _ => StoreError::Io { path: path.into(), action: "making the store", source },
     }
 }

@@ -66,8 +66,8 @@ fn end(connection: &Connection) {
 }
 
 impl Lanes {
-    /// With one connection, which is in a read transaction that sees `generation`. Of generation 0 there is nothing to read,
-    /// so no transaction is held, which would keep a first filling of the store waiting.
+    /// With one connection, which is in a read transaction that sees `generation`. Of generation 0 there is nothing to read but
+    /// bookmarks and what `verify` looks at, so no transaction is held, which would keep a first filling of the store waiting.
     pub fn new(place: Arc<Place>, connection: Connection, generation: u64, renews: bool) -> Arc<Self> {
         let renews = renews && generation > 0;
         if generation == 0 {
@@ -95,7 +95,16 @@ impl Lanes {
     pub fn with<R>(&self, read: impl FnOnce(&Connection) -> Result<R, RowError>) -> Result<R, StoreError> {
         let mut guard = Guard { lanes: self, lane: Some(self.take()?) };
         let Some(lane) = guard.lane.as_mut() else { return Err(StoreError::Busy { path: self.place.path().into() }) };
-        let result = read(&lane.connection).map_err(|e| self.place.error(e));
+        let result = match self.generation {
+            // What the snapshot knows itself is not asked for; of anything else all that is read is of one generation at least.
+            0 => begin(&lane.connection).and_then(|_| {
+                let result = read(&lane.connection);
+                end(&lane.connection);
+                result
+            }),
+            _ => read(&lane.connection),
+        };
+        let result = result.map_err(|e| self.place.error(e));
         // Before what was read is believed, or its error.
         if let Some(file) = file(&self.place) {
             file.check_untouched()?;

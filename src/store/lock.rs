@@ -5,9 +5,13 @@ use super::files::{beside, check_folder, is_named_as_beside};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// What messages call another writer of this process.
 pub(super) const WRITER_HERE: &str = "this process already";
+
+/// So often a lock that is taken is tried again, a millisecond later each time.
+const LOOKS: u32 = 3;
 
 /// Held by the one writer of a store.
 #[derive(Debug)]
@@ -28,6 +32,7 @@ impl WriterLock {
             return Err(StoreError::HardLinked { path: store.to_path_buf(), names });
         }
         let path = beside(store, "-lock");
+        let mut looks = 0;
         loop {
             let mut file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path).map_err(
                 |source| match source.kind() {
@@ -40,6 +45,12 @@ impl WriterLock {
             )?;
             match file.try_lock() {
                 Ok(()) => {}
+                // Somebody who only looks (`is_taken`) has it for a moment.
+                Err(TryLockError::WouldBlock) if looks < LOOKS => {
+                    looks += 1;
+                    std::thread::sleep(Duration::from_millis(1));
+                    continue;
+                }
                 Err(TryLockError::WouldBlock) => {
                     let mut owner = String::new();
                     let _ = (&file).take(20).read_to_string(&mut owner);

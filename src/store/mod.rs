@@ -57,7 +57,7 @@ pub use encode::{
     encode_node,
 };
 pub use error::StoreError;
-pub use files::{SPILL_SUFFIX, spill_path};
+pub use files::Temporary;
 pub(crate) use files::{check_folder, followed};
 pub use flip::{Flip, NodeChange};
 #[cfg(feature = "cli")]

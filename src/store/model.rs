@@ -77,7 +77,7 @@ pub struct Scan {
     pub id: ScanId,
     /// Unique in the store.
     pub name: String,
-    /// The path as it was given.
+    /// The file's path, absolute.
     pub source: String,
     /// Size of the source in bytes.
     pub source_bytes: u64,

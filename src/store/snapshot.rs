@@ -355,6 +355,14 @@ impl Inner {
             Place::File(file) => file.limits,
             Place::Memory(_) => Limits::default(),
         };
+        let (index, pages) = match site.site.generation {
+            // Nothing is there, whatever comes: no transaction is held that would see to it.
+            0 => {
+                let (roots, zones) = (std::iter::empty(), Vec::new());
+                (OnceLock::from(Arc::new(whole_index(&connection, &site)?)), Pages::whole(Vec::new(), roots, zones))
+            }
+            _ => (OnceLock::new(), Pages::new(limits.node_bytes)),
+        };
         let lanes = Lanes::new(place.clone(), connection, site.site.generation, renews);
         Ok(Self {
             place: place.clone(),
@@ -362,8 +370,8 @@ impl Inner {
             site,
             scans,
             attributes,
-            index: OnceLock::new(),
-            pages: Pages::new(limits.node_bytes),
+            index,
+            pages,
             #[cfg(test)]
             reads: Default::default(),
         })

@@ -8,6 +8,7 @@ use super::connection::{self, Purpose};
 use super::error::{RowError, StoreError};
 use super::files::{self, remove_spills, wal_bytes};
 use super::flip::{Flip, flip};
+use super::handle::SiteOptions;
 use super::interrupt::{patiently, unless};
 use super::lock::{WRITER_HERE, WriterLock};
 use super::log::{self, Checkpoint};
@@ -127,7 +128,7 @@ impl Writer {
             place: place.clone(),
             connection,
             lock,
-            next_scan: site.next_scan,
+            next_scan: site.next_scan.max(1),
             ids: ChunkIds(Arc::new(AtomicI64::new(site.next_chunk))),
             site,
             attributes,
@@ -168,6 +169,28 @@ impl Writer {
     /// The site as it was last committed.
     pub fn site(&self) -> &Site {
         &self.site.site
+    }
+
+    /// Was the store made with its writer, and nothing committed to it? It is what a run that was cut off has left.
+    pub fn is_provisional(&self) -> bool {
+        self.site.site.generation == 0 && self.site.next_scan == 0
+    }
+
+    /// Gives a provisional store another site: nothing of the first one counts.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Inconsistent`] if it is not provisional, and as [`Writer::put_chunks`].
+    pub fn begin_anew(&mut self, options: SiteOptions) -> Result<(), StoreError> {
+        if !self.is_provisional() || self.pending_bytes.is_some() {
+            let what = "the store has a site that is not to change".into();
+            return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
+        }
+        self.begin_log()?;
+        let site = SiteRow { site: options.into_site(), ..self.site.clone() };
+        self.run(|c| rows::put_site(c, &site))?;
+        self.site = site;
+        Ok(())
     }
 
     /// All attributes, the pending ones included, ascending by id.
@@ -321,18 +344,11 @@ impl Writer {
     ///
     /// As [`Writer::commit`], and [`StoreError::Busy`] if it was stopped while it waited.
     pub fn commit_unless(&mut self, change: Flip, stop: &dyn Fn() -> bool) -> Result<Committed, StoreError> {
-        let patience = self.patience();
         if self.failed {
             let what = "a write failed before".into();
             return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
         }
-        if self.pending_bytes.take().is_some()
-            && let Err(e) = self.run(|c| patiently(c, patience, stop, "COMMIT"))
-        {
-            self.failed = true;
-            self.roll_back();
-            return Err(e);
-        }
+        self.end_payload(stop)?;
         if self.without_log {
             // A journal is only beside a store without a commit: so one that a deleted store left is known for what it is.
             if let Err(e) = self.run(|c| connection::enter_log(c, stop)) {
@@ -362,12 +378,26 @@ impl Writer {
         Ok(Committed { generation: self.site.site.generation, removed_rows, log_truncated })
     }
 
+    /// Ends the open transaction of payload, if there is one: what follows is not part of it.
+    fn end_payload(&mut self, stop: &dyn Fn() -> bool) -> Result<(), StoreError> {
+        let patience = self.patience();
+        if self.pending_bytes.take().is_some()
+            && let Err(e) = self.run(|c| patiently(c, patience, stop, "COMMIT"))
+        {
+            self.failed = true;
+            self.roll_back();
+            return Err(e);
+        }
+        Ok(())
+    }
+
     /// Keeps a camera under a name; visible at once.
     ///
     /// # Errors
     ///
     /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`].
     pub fn put_bookmark(&mut self, name: &str, camera_json: &str) -> Result<(), StoreError> {
+        self.end_payload(&|| false)?;
         self.begin_log()?;
         self.run(|c| rows::put_bookmark(c, name, camera_json))
     }
@@ -378,6 +408,7 @@ impl Writer {
     ///
     /// As [`Writer::put_bookmark`].
     pub fn remove_bookmark(&mut self, name: &str) -> Result<(), StoreError> {
+        self.end_payload(&|| false)?;
         self.begin_log()?;
         self.run(|c| rows::remove_bookmark(c, name))
     }
@@ -388,6 +419,7 @@ impl Writer {
     ///
     /// [`StoreError::Full`], [`StoreError::Sqlite`]; the store is then as it was.
     pub fn compact(&mut self, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
+        self.end_payload(&|| false)?;
         self.remove_garbage()?;
         self.begin_log()?;
         let folder = match &*self.place {
@@ -400,14 +432,16 @@ impl Writer {
             if let Some(folder) = folder.as_deref().and_then(Path::to_str) {
                 c.pragma_update(None, "temp_store_directory", folder)?;
             }
-            unless(c, stop, |c| Ok(c.execute_batch("PRAGMA synchronous = FULL; VACUUM")?))
+            let done = unless(c, stop, |c| Ok(c.execute_batch("PRAGMA synchronous = FULL; VACUUM")?));
+            // It is the whole process's. (SQLite guards it against threads.)
+            if folder.is_some() {
+                c.pragma_update(None, "temp_store_directory", "")?;
+            }
+            done
         })?;
         self.tidy();
         Ok(())
     }
-
-    /// Gives up: the store is as it was last committed.
-    pub fn abort(self) {}
 
     fn run<R>(&self, f: impl FnOnce(&Connection) -> Result<R, RowError>) -> Result<R, StoreError> {
         match (&self.connection, &*self.place) {

@@ -1,6 +1,6 @@
 //! Law 3: the tree is a function of the points and the lattice, not of how they came.
 
-use crate::support::{Random, RawLas, data_folder, esker_ok, las_like};
+use crate::support::{Random, RawLas, data_folder, esker_fails, esker_ok, las_like};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -109,5 +109,47 @@ fn a_rerun_adds_nothing() {
     let report: serde_json::Value = serde_json::from_str(&esker_ok(&arguments)).unwrap();
     assert_eq!(report["points"], 0);
     assert_eq!(report["skipped"].as_array().unwrap().len(), 1);
+    // What it would be called otherwise is not dropped without a word.
+    for (options, word) in [
+        (&["--name", "other", "--crs", "EPSG:25832"][..], "; its name and its CRS stay as they are"),
+        (&["--name", "other"], "; its name stays as it is"),
+        (&["--crs", "EPSG:25832"], "; its CRS stays as it is"),
+        (&[], "'"),
+    ] {
+        let report: serde_json::Value = serde_json::from_str(&esker_ok(&[&arguments[..], options].concat())).unwrap();
+        let reason = report["skipped"][0]["reason"].as_str().unwrap();
+        assert!(reason.ends_with(word), "{options:?}: {reason}");
+    }
     assert_eq!(esker_ok(&["digest", store.to_str().unwrap()]), before);
+}
+
+/// A first ingest that is killed leaves a store of nothing: what is made of other files then is what they alone give.
+#[test]
+fn nothing_of_an_ingest_that_was_cut_off_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(at("fine.csv"), "x,y,z\n0.12345,0.2,0.3\n7,8,9\n").unwrap();
+    esker_ok(&["ingest", &at("clean.esker"), &at("fine.csv")]);
+    let lattice = esker::lattice::Lattice::uniform(0.5).unwrap();
+    let crs = esker::points::Crs::parse("EPSG:2154");
+    let site = esker::store::SiteOptions { crs, ..esker::store::SiteOptions::new(lattice) };
+    // As it is found where the process is killed before its first commit.
+    drop(esker::store::Store::create_with_writer(at("cut.esker"), site.clone()).unwrap());
+    let report = esker_ok(&["ingest", &at("cut.esker"), &at("fine.csv")]);
+    assert!(report.contains("positions exact"), "{report}");
+    assert_eq!(esker_ok(&["digest", &at("cut.esker")]), esker_ok(&["digest", &at("clean.esker")]));
+    assert!(!esker_ok(&["info", &at("cut.esker")]).contains("2154"));
+    esker_ok(&["verify", &at("cut.esker"), "--deep"]);
+    // What can't be read leaves no store, as if none had been there.
+    drop(esker::store::Store::create_with_writer(at("again.esker"), site.clone()).unwrap());
+    fs::write(at("bad.las"), "LASF, and nothing else").unwrap();
+    esker_fails(&["ingest", &at("again.esker"), &at("bad.las")], 1, &["bad.las"]);
+    esker_ok(&["ingest", &at("again.esker"), &at("fine.csv"), "--quantum", "0.00001"]);
+    // One that was made to be filled keeps its lattice.
+    drop(esker::store::Store::create(at("made.esker"), site).unwrap());
+    esker_fails(
+        &["ingest", &at("made.esker"), &at("fine.csv"), "--quantum", "0.1"],
+        1,
+        &["the store's quantum is 0.5"],
+    );
 }

@@ -94,7 +94,12 @@ fn space_is_given_back() {
     let (store, fresh, copy) = (place.path("s.esker"), place.path("fresh.esker"), place.path("copy.esker"));
     esker_ok(&["remove", &store, "site_1", "site_3"]);
     // As a run that was cut off leaves it.
-    fs::write(place.path("copy.esker.partial"), "half a copy").unwrap();
+    fs::write(place.path("copy.esker.partial-7-0"), "half a copy").unwrap();
+    fs::write(place.path("copy.esker.partial-7-0-wal"), "its log").unwrap();
+    // Files of a user's.
+    let users = ["copy.esker.partial", "s.esker.spill-2", "s.esker.spill-report.txt"];
+    users.iter().for_each(|name| fs::write(place.path(name), "notes").unwrap());
+    fs::create_dir(place.path("s.esker.spill-1-1")).unwrap();
     esker_ok(&["compact", &store, "-o", &copy]);
     esker_ok(&["compact", &store]);
     let scans = [2, 4, 5].map(|i| place.path(&format!("scans/site_{i}.las")));
@@ -118,7 +123,11 @@ fn space_is_given_back() {
     esker_ok(&["compact", &store, "-o", &other]);
     assert_eq!(esker_ok(&["digest", &other]), esker_ok(&["digest", &fresh]));
     assert!(!fs::exists(format!("{other}-lock")).unwrap());
-    assert!(!fs::exists(place.path("copy.esker.partial")).unwrap());
+    for left in fs::read_dir(place.path("")).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()) {
+        assert!(!left.contains(".partial-"), "{left} was left behind");
+    }
+    assert!(users.iter().all(|name| fs::read_to_string(place.path(name)).unwrap() == "notes"));
+    assert!(fs::exists(place.path("s.esker.spill-1-1")).unwrap());
 }
 
 #[test]

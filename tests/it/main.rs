@@ -13,6 +13,7 @@ mod fidelity;
 mod floors;
 mod growth;
 mod histories;
+mod json;
 mod kinds;
 mod memory;
 mod order;

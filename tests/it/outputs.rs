@@ -46,10 +46,10 @@ fn what_las_cannot_hold_goes_out_in_other_forms() {
     esker_ok(&["query", &store, "--scale", "1", "-o", &at("wide.laz")]);
     esker_fails(
         &["query", &store, "--scale", "1", "-o", &at("wide.copc.laz")],
-        1,
+        2,
         &["'copc.laz' is no ending that Esker writes"],
     );
-    esker_fails(&["query", &store, "--scale", "1", "-o", &at("scaled.csv")], 1, &["a scale is for LAS and LAZ"]);
+    esker_fails(&["query", &store, "--scale", "1", "-o", &at("scaled.csv")], 2, &["a scale is for LAS and LAZ"]);
     assert!(!fs::exists(at("scaled.csv")).unwrap());
 }
 
@@ -120,7 +120,7 @@ fn no_output_takes_the_place_of_a_store() {
     esker_fails(&[&render[..], &[&at("b.png")]].concat(), 1, &["b.png: is a database"]);
     // Nor is a picture written under the name of what it is not.
     for name in ["b.jpg", "b", "a.esker"] {
-        esker_fails(&[&render[..], &[&at(name)]].concat(), 1, &[name, "give it a name that ends in .png"]);
+        esker_fails(&[&render[..], &[&at(name)]].concat(), 2, &[name, "give it a name that ends in .png"]);
     }
     let torus = ["generate", "torus", "--points", "10", "-o", &at("b.las"), "--force"];
     esker_fails(&torus, 1, &["b.las: is a database"]);
@@ -302,6 +302,11 @@ fn the_word_on_maximum_faces_counts_what_matches() {
         let none = told(&["--where", "Classification = 1", "--scan", "b"]);
         assert!(!none.contains("faces"), "{detail:?}: {none}");
     }
+    // Of neighbours only the faces of the whole, and what is on both is one point.
+    let two = esker(&["query", &store, "--box", "0,0,1,2", "--box", "1,0,2,2", "--count"]);
+    assert_eq!(String::from_utf8(two.stdout).unwrap(), "3\n");
+    let told = String::from_utf8(two.stderr).unwrap();
+    assert!(told.contains("4 points lie on the region's maximum faces"), "{told}");
     // Without an extent a box holds nothing, wherever it is; it was said to lie outside.
     for (option, region, axis) in [("--box", "0,1,2,1", "y"), ("--box", "2,0,2,9", "x"), ("--z", "0,0", "z")] {
         let output = esker(&["query", &store, option, region, "--count"]);

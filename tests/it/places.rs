@@ -87,9 +87,9 @@ fn neighbours_and_densities_come_out_of_the_shell() {
     let expected = points.iter().filter(within).count();
     assert!(expected > 3 && table(&fs::read_to_string(&csv).unwrap()).len() == expected);
     assert_eq!(serde_json::from_str::<serde_json::Value>(&report).unwrap()["neighbours"], expected);
-    esker_fails(&["nearest", &store, "--at", "3,4"], 1, &["--at '3,4'", "X, Y and Z"]);
-    esker_fails(&["nearest", &store, "--at", "3,4,nan"], 1, &["'nan' is no number"]);
-    esker_fails(&["nearest", &store, "--at", "3,4,5", "-o", &path("a.las")], 1, &["no place for Place"]);
+    esker_fails(&["nearest", &store, "--at", "3,4"], 2, &["'3,4' for '--at", "X, Y and Z"]);
+    esker_fails(&["nearest", &store, "--at", "3,4,nan"], 2, &["'nan' is no number"]);
+    esker_fails(&["nearest", &store, "--at", "3,4,5", "-o", &path("a.las")], 2, &["no place for Place"]);
     esker_fails(&["nearest", &store, "--at", "3,4,1e300"], 1, &["coordinate", "from -1e150 to 1e150"]);
     esker_fails(&["nearest", &store], 2, &["--at"]);
 
@@ -159,7 +159,7 @@ fn neighbours_and_densities_come_out_of_the_shell() {
     esker_ok(&["density", &store, "--side", "2", "-o", &grid, "--force"]);
     assert!(fs::exists(&grid).unwrap() && !fs::exists(path("density.prj")).unwrap());
     esker_fails(&["density", &store, "--side", "0"], 2, &["positive"]);
-    esker_fails(&["density", &store, "--side", "2", "-o", &path("a.tif")], 1, &["'tif'", ".asc"]);
+    esker_fails(&["density", &store, "--side", "2", "-o", &path("a.tif")], 2, &["'tif'", ".asc"]);
     esker_fails(&["density", &store, "--side", "1e-7"], 1, &["2^28"]);
     assert!(!esker(&["density", &store]).status.success());
 }

@@ -137,3 +137,24 @@ fn hidden_scans_are_told_where_they_are_missed() {
     let output = esker(&["query", &s, "--scan", "a", "--count"]);
     assert_eq!((output.stdout, output.stderr), (b"1\n".to_vec(), Vec::new()));
 }
+
+/// They were null, as where there are no values.
+#[test]
+fn infinite_values_are_told_in_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
+                property double v\nproperty double w\nend_header\n";
+    fs::write(at("w.ply"), format!("{head}0 0 0 inf nan\n1 1 1 0.1 nan\n2 2 2 -inf nan\n")).unwrap();
+    let store = at("w.esker");
+    esker_ok(&["ingest", &store, &at("w.ply")]);
+    let json =
+        |command: &str| -> serde_json::Value { serde_json::from_str(&esker_ok(&[command, &store, "--json"])).unwrap() };
+    let of = |report: &serde_json::Value, name: &str| {
+        report["attributes"].as_array().unwrap().iter().find(|a| a["name"] == name).unwrap().clone()
+    };
+    let (v, w) = (of(&json("query"), "v"), of(&json("query"), "w"));
+    assert_eq!((&v["min"], &v["max"], &v["mean"]), (&"-inf".into(), &"inf".into(), &serde_json::Value::Null));
+    assert_eq!((&w["count"], &w["min"], &w["max"]), (&0.into(), &serde_json::Value::Null, &serde_json::Value::Null));
+    assert_eq!(of(&json("info"), "v")["min_max"], serde_json::json!(["-inf", "inf"]));
+}

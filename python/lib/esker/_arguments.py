@@ -122,13 +122,38 @@ def _is_name(value):
 
 
 def numbers(value, what):
-    """A list of floats; rows of an array follow each other, so that a low and a high corner make a box."""
+    """A list of floats; rows of an array follow each other."""
+    array = _floats(value, what)
+    return None if array is None else array.ravel().tolist()
+
+
+def row(value, what):
+    """Floats that are one row."""
+    array = _floats(value, what)
+    if array is not None and array.ndim != 1:
+        raise QueryError(f"{what} is one row of numbers; its shape is {array.shape}")
+    return None if array is None else array.tolist()
+
+
+def box(value):
+    """Four or six floats, or a low and a high corner as two rows."""
+    array = _floats(value, "box")
+    if array is not None and array.ndim != 1 and array.shape not in ((2, 2), (2, 3)):
+        raise QueryError(f"box is one row of numbers, or a low and a high corner as two rows; its shape is {array.shape}")
+    return None if array is None else array.ravel().tolist()
+
+
+def _floats(value, what):
     if value is None:
         return None
     if isinstance(value, str):
         raise TypeError(f"{what} must be numbers, not a string")
     try:
-        return np.asarray(value, np.float64).ravel().tolist()
+        array = np.asarray(value)
+        # It would become NaN.
+        if array.dtype == object and any(number is None for number in array.flat):
+            raise TypeError
+        return array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise type(error)(f"{what} must be numbers, not {value!r}") from None
 
@@ -173,6 +198,8 @@ def view(value):
                 return file.read()
         except FileNotFoundError:
             raise QueryError(f"{value}: there is no such view file") from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise QueryError(f"{value}: reading the view failed: {getattr(error, 'strerror', None) or error}") from None
     return _json(value, "view")
 
 
@@ -182,11 +209,30 @@ def polygon(value):
     if value is None or isinstance(value, str):
         return value
     if isinstance(value, os.PathLike):
-        return os.fspath(value)
+        return os.fsdecode(value)
+    # geopandas' objects know their CRS, but GeoJSON has it only where it is put.
+    epsg = _epsg(getattr(value, "crs", None))
     value = getattr(value, "__geo_interface__", value)
-    if not isinstance(value, dict):
+    if isinstance(value, dict):
+        value = _shapes(value)
+    else:
         value = {"type": "Polygon", "coordinates": [_ring(value)]}
+    if epsg is not None and "crs" not in value:
+        value = {**value, "crs": {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{epsg}"}}}
     return _json(value, "polygon")
+
+
+def _epsg(crs):
+    """The EPSG code of an object of pyproj's kind, if it has one."""
+    return crs.to_epsg() if hasattr(crs, "to_epsg") else None
+
+
+def _shapes(geojson):
+    """GeoJSON without the properties of its features, which may be anything."""
+    kept = {word: value for word, value in geojson.items() if word != "properties"}
+    if isinstance(kept.get("features"), (list, tuple)):
+        kept["features"] = [_shapes(one) if isinstance(one, dict) else one for one in kept["features"]]
+    return kept
 
 
 def _ring(vertices):
@@ -219,6 +265,8 @@ def _json(value, what):
     """JSON, which has no NaN."""
     try:
         return json.dumps(value, default=_plain, allow_nan=False)
+    except TypeError as error:
+        raise TypeError(f"{what} has {error}") from None
     except ValueError:
         raise QueryError(f"{what} has a number that is NaN or infinite: {value!r}") from None
 
@@ -227,7 +275,7 @@ def _plain(value):
     """What json does not know: numpy's arrays and numbers."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{value!r} has no place in a view")
+    raise TypeError(f"{value!r}, which has no place in JSON")
 
 
 def query(given):
@@ -240,10 +288,9 @@ def query(given):
     if positions not in ("world", "lattice"):
         raise QueryError(f'positions is {positions!r}; it must be "world" or "lattice"')
     full["lattice"] = positions == "lattice"
-    full["box"] = numbers(full["box"], "box")
-    full["sphere"] = numbers(full["sphere"], "sphere")
-    full["obox"] = numbers(full["obox"], "obox")
-    full["z"] = numbers(full["z"], "z")
+    full["box"] = box(full["box"])
+    for word in ("sphere", "obox", "z"):
+        full[word] = row(full[word], word)
     if full["z"] is not None and len(full["z"]) != 2:
         raise QueryError(f"z has 2 numbers, from and up to; there are {len(full['z'])}")
     full["polygon"] = polygon(full["polygon"])

@@ -6,7 +6,7 @@ import json
 import logging
 import os
 import warnings
-from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, TypedDict, Union
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterable, List, Optional, Sequence, TypedDict, Union
 
 import numpy as np
 
@@ -67,19 +67,24 @@ class ChangeKeywords(TypedDict, total=False):
     progress: Progress
 
 
-class IngestKeywords(ChangeKeywords, total=False):
-    """The keywords of :func:`ingest`."""
+class ReplaceKeywords(ChangeKeywords, total=False):
+    """The keywords of :meth:`Store.replace`."""
 
-    quantum: Union[float, Sequence[float]]
-    phase: Union[float, Sequence[float]]
-    lattice: PathLike
     crs: Any
     ignore_crs: bool
     name: str
     poses: Sequence[Any]
     columns: Sequence[str]
-    recursive: bool
     strict: bool
+
+
+class IngestKeywords(ReplaceKeywords, total=False):
+    """The keywords of :func:`ingest`."""
+
+    quantum: Union[float, Sequence[float]]
+    phase: Union[float, Sequence[float]]
+    lattice: PathLike
+    recursive: bool
     keep_going: bool
 
 
@@ -115,7 +120,11 @@ class Reader:
         >>> store.count(box=info["bounds"]["min"] + info["bounds"]["max"])
         60000
         """
-        return json.loads(self._reader.info())
+        info = json.loads(self._reader.info())
+        for attribute in info["attributes"]:
+            if "min_max" in attribute:
+                attribute["min_max"] = [_number(value) for value in attribute["min_max"]]
+        return info
 
     @property
     def bounds(self) -> Optional[np.ndarray]:
@@ -272,8 +281,7 @@ class Reader:
         options = self._asked(keywords)
         decoded, report = self._reader.query(options)
         answer = Answer(decoded, masked, report)
-        if answer.region_misses_site:
-            warnings.warn("the region lies outside the site, or has no extent", EskerWarning, stacklevel=2)
+        _warn_of_nothing(answer.region_misses_site)
         return answer
 
     def batches(self, size: int = 1_000_000, **keywords: Unpack[QueryKeywords]) -> Batches:
@@ -301,7 +309,9 @@ class Reader:
         >>> store.count(scans="site_2")
         20000
         """
-        return json.loads(self._reader.count(self._asked(keywords)))["points"]
+        report = json.loads(self._reader.count(self._asked(keywords)))
+        _warn_of_nothing(report["region_misses_site"])
+        return report["points"]
 
     def explain(self, **keywords: Unpack[QueryKeywords]) -> Dict[str, Any]:
         """Why each node is taken, tested, refused or cut for an answer, as the command line's ``query --explain --json``.
@@ -320,7 +330,12 @@ class Reader:
         >>> summary["points"], [a["name"] for a in summary["attributes"]]
         (60000, ['X', 'Y', 'Z', 'Classification'])
         """
-        return json.loads(self._reader.summary(self._asked(keywords)))
+        report = json.loads(self._reader.summary(self._asked(keywords)))
+        for attribute in report["attributes"]:
+            # JSON has no infinite numbers.
+            attribute.update({word: _number(attribute[word]) for word in ("min", "max", "mean")})
+        _warn_of_nothing(report["region_misses_site"])
+        return report
 
     def nearest(
         self, points: Any, k: int = 1, radius: Optional[float] = None, **keywords: Unpack[QueryKeywords]
@@ -401,8 +416,7 @@ class Reader:
         for note in notes:
             _log.warning("%s", note)
         answer = json.loads(report)
-        if answer["region_misses_site"]:
-            warnings.warn("the region lies outside the site, or has no extent", EskerWarning, stacklevel=2)
+        _warn_of_nothing(answer["region_misses_site"])
         return answer
 
     def verify(self, deep: bool = False) -> Dict[str, Any]:
@@ -492,12 +506,14 @@ class Store(Reader):
 
     def remove(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
         """Takes scans out, as if they had never been there."""
+        _check_keywords("remove", keywords, ChangeKeywords.__annotations__)
         return self._changed(_esker.remove, self._named(scans), **keywords)
 
     def replace(
-        self, scan: Union[str, int], source: Optional[PathLike] = None, **keywords: Unpack[IngestKeywords]
+        self, scan: Union[str, int], source: Optional[PathLike] = None, **keywords: Unpack[ReplaceKeywords]
     ) -> Dict[str, Any]:
         """Puts a file in a scan's place, in one commit; without ``source`` its own file, read again."""
+        _check_keywords("replace", keywords, ReplaceKeywords.__annotations__)
         return self._changed(_esker.replace, self._named([scan])[0], source, **keywords)
 
     def hide(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> List[str]:
@@ -506,14 +522,17 @@ class Store(Reader):
         >>> store.hide("site_3"), store.count(), store.show("site_3"), store.count()
         (['site_3'], 40000, ['site_3'], 60000)
         """
+        _check_keywords("hide", keywords, ChangeKeywords.__annotations__)
         return self._changed(_esker.set_visible, self._named(scans), False, **keywords)
 
     def show(self, scans: Names, **keywords: Unpack[ChangeKeywords]) -> List[str]:
         """Lets hidden scans take part again; gives the names of those that were hidden."""
+        _check_keywords("show", keywords, ChangeKeywords.__annotations__)
         return self._changed(_esker.set_visible, self._named(scans), True, **keywords)
 
     def compact(self, copy: Optional[PathLike] = None, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
         """Makes one layer of all and gives free space back; with ``copy``, in a new file."""
+        _check_keywords("compact", keywords, ChangeKeywords.__annotations__)
         return self._changed(_esker.compact, copy, **keywords)
 
     def digest(self, **keywords: Unpack[ChangeKeywords]) -> Dict[str, str]:
@@ -522,10 +541,14 @@ class Store(Reader):
         >>> sorted(store.digest())
         ['points', 'scans']
         """
+        _check_keywords("digest", keywords, ChangeKeywords.__annotations__)
         return dict(self._changed(_esker.digest, **keywords))
 
     def _named(self, scans: Any) -> List[str]:
-        return _arguments.scans(scans, lambda: self.scans) or []
+        named: Optional[List[str]] = _arguments.scans(scans, lambda: self.scans)
+        if named is None:
+            raise TypeError("scans must be names, not None")
+        return named
 
     def _changed(self, change: Callable[..., str], *arguments: Any, **keywords: Any) -> Any:
         self._check_open()
@@ -600,6 +623,7 @@ def ingest(
 
     Ctrl-C, too, leaves the store at its last commit.
     """
+    _check_keywords("ingest", keywords, IngestKeywords.__annotations__)
     report = _changed(_esker.ingest, path, _arguments.paths(inputs, "inputs"), progress=progress, **keywords)
     for note in report["notes"] + [f"{s['name']}: {w}" for s in report["scans"] for w in s["warnings"]]:
         _log.warning("%s", note)
@@ -608,6 +632,7 @@ def ingest(
 
 def merge(out: PathLike, stores: Sequence[PathLike], **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
     """Joins stores on one lattice to a new one: what a single ingest of all their scans would have given."""
+    _check_keywords("merge", keywords, ChangeKeywords.__annotations__)
     return _changed(_esker.merge, out, _arguments.paths(stores, "stores"), **keywords)
 
 
@@ -639,6 +664,17 @@ def generate(
     return [os.fspath(path) for path, _ in files]
 
 
+def _number(value: Any) -> Any:
+    """What JSON has as a string since it has no such number: ``inf`` or ``-inf``."""
+    return float(value) if isinstance(value, str) else value
+
+
+def _warn_of_nothing(region_misses_site: bool) -> None:
+    if region_misses_site:
+        # Where the method was called.
+        warnings.warn("the region lies outside the site, or has no extent", EskerWarning, stacklevel=3)
+
+
 class _Listener:
     """Who hears of a change."""
 
@@ -647,6 +683,13 @@ class _Listener:
             raise TypeError(f"progress must be called, which {progress!r} can't")
         self.progress = progress
         self.say = _log.info
+
+
+def _check_keywords(name: str, keywords: Any, known: Iterable[str]) -> None:
+    """Refuses what would do nothing."""
+    unknown = sorted(keywords.keys() - set(known))
+    if unknown:
+        raise TypeError(f"{name}() got an unexpected keyword argument '{unknown[0]}'")
 
 
 def _changed(change: Callable[..., str], *arguments: Any, progress: Optional[Progress] = None, **keywords: Any) -> Any:

@@ -8,7 +8,7 @@ mod walk;
 
 use super::interrupt::cancelled_by_interrupt;
 use super::which::filter;
-use super::{Outcome, output, values};
+use super::{Outcome, Usage, output, values};
 use crate::formats::{OutputFile, check_output};
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::LatticeBox;
@@ -18,7 +18,7 @@ use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
 use crate::store::model::{Scan, ScanId};
 use crate::store::{Snapshot, Store, WorldBounds, info};
 use crate::stream::gpu::Paint;
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Args;
 use session::{Asked, Session, Starting};
 use statistics::Table;
@@ -93,7 +93,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     // Pictures of a walk get their ending with their numbers.
     let bare = ending.is_none() && arguments.path.is_some();
     if !bare && !ending.is_some_and(|ending| ending.eq_ignore_ascii_case("png")) {
-        bail!("{}: pictures are written as PNG; give it a name that ends in .png", arguments.output.display());
+        let path = arguments.output.display();
+        return Err(Usage(format!("{path}: pictures are written as PNG; give it a name that ends in .png")).into());
     }
     let cancel = cancelled_by_interrupt();
     // The adapter takes its time, and needs nothing of the store.
@@ -113,7 +114,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let mut table = Table::create(arguments.stats.as_deref(), &pictures, arguments.force)?;
 
     if snapshot.site().crs.as_ref().is_some_and(Crs::is_geographic) {
-        eprintln!(
+        output::tell!(
             "esker: the site's coordinates are degrees, and are drawn as long as metres of height; reproject its files for \
              a picture in proportion"
         );
@@ -136,14 +137,14 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         drawn += cost.points;
         let told = format!("{}: {points}{bound}, drawn by {}", path.display(), session.adapter_name());
         if table.is_standard_output() {
-            eprintln!("esker: {told}");
+            output::tell!("esker: {told}");
         } else {
             output::line(told)?;
         }
     }
     table.finish()?;
     if drawn == 0 {
-        eprintln!("esker: nothing was drawn: no point matches, or none is in view");
+        output::tell!("esker: nothing was drawn: no point matches, or none is in view");
         super::which::tell_why_nothing(&snapshot, &Region::Everything, &arguments.scans)?;
     }
     Ok(Outcome::Done)
@@ -231,10 +232,11 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
     };
     let mode = arguments.color.resolved(has)?;
     if mode != arguments.color {
-        eprintln!("esker: the points have no {} to show; shown by {}", arguments.color.word(), mode.word());
+        output::tell!("esker: the points have no {} to show; shown by {}", arguments.color.word(), mode.word());
     }
     if arguments.range.is_some() && !mode.has_range() {
-        bail!("--range is for colours by intensity, height or time, not by {}", mode.word());
+        let what = format!("--range is for colours by intensity, height or time, not by {}", mode.word());
+        return Err(Usage(what).into());
     }
     let asked = query.asked_scans(snapshot)?;
     let scans = || asked.iter().filter_map(|id| snapshot.scan(*id));

@@ -1,6 +1,6 @@
 //! The options that say how a picture looks.
 
-use crate::cli::values;
+use crate::cli::{Usage, values};
 use crate::geometry::WorldBox;
 use crate::render::{Background, ClipBox, Edl, Fog, RenderOptions, Shape};
 use clap::Args;
@@ -68,7 +68,7 @@ impl Look {
         if let (Some(least), Some(most)) = (self.min_px, self.max_px)
             && least > most
         {
-            anyhow::bail!("--min-px {least} is more than --max-px {most}");
+            return Err(Usage(format!("--min-px {least} is more than --max-px {most}")).into());
         }
         let clip = |corners: &Corners, keep| -> anyhow::Result<ClipBox> {
             let [min, max] = corners.0.map(|corner| corner.map(|c| c.clamp(-FARTHEST, FARTHEST)));

@@ -3,7 +3,7 @@
 
 use crate::formats::FormatError;
 use std::ffi::OsStr;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -120,6 +120,7 @@ impl Destination {
     /// A new, empty file that will be `path`, or replace it if `force` is set.
     pub fn file(path: &Path, force: bool) -> Result<(Self, File), FormatError> {
         let (target, folder) = Self::checked(path, force)?;
+        remove_left_behind(&folder);
         let (temporary, file) = temporary_file(&folder, path)?;
         Ok((Self { shown: path.into(), written: path.into(), path: Some(target), temporary, force }, file))
     }
@@ -231,7 +232,29 @@ impl Drop for Destination {
     }
 }
 
-/// A new file in `folder` that no other process has.
+/// Is it the name of a temporary file? Anything else is a user's.
+fn is_temporary(name: &OsStr) -> bool {
+    let numbers = name.to_str().and_then(|name| name.strip_prefix(".esker-")?.strip_suffix(".tmp")?.split_once('-'));
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    numbers.is_some_and(|(process, number)| is_number(process) && is_number(number))
+}
+
+/// Removes what processes that were ended hard have left in a folder: files that nobody holds locked.
+fn remove_left_behind(folder: &Path) {
+    // What can't be read or removed does no harm.
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries.flatten().filter(|entry| is_temporary(&entry.file_name())) {
+        let path = entry.path();
+        if entry.file_type().is_ok_and(|kind| kind.is_file())
+            && let Ok(file) = File::open(&path)
+            && file.try_lock().is_ok()
+        {
+            let _ = fs::remove_file(&path);
+        }
+    }
+}
+
+/// A new file in `folder` that no other process has; it is locked, which says that it is somebody's.
 fn temporary_file(folder: &Path, shown: &Path) -> Result<(PathBuf, File), FormatError> {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     loop {
@@ -241,7 +264,12 @@ fn temporary_file(folder: &Path, shown: &Path) -> Result<(PathBuf, File), Format
         unfinished().push(path.clone());
         let opened = File::options().read(true).write(true).create_new(true).open(&path);
         match opened {
-            Ok(file) => return Ok((path, file)),
+            // A file system without locks has no others that would look for them.
+            Ok(file) if !matches!(file.try_lock(), Err(TryLockError::WouldBlock)) && path.exists() => {
+                return Ok((path, file));
+            }
+            // Taken for one that was left behind, between its making and its locking.
+            Ok(_) => unfinished().retain(|p| *p != path),
             Err(source) => {
                 unfinished().retain(|p| *p != path);
                 // A process of the same number, ended hard, may have left one.
@@ -256,6 +284,20 @@ fn temporary_file(folder: &Path, shown: &Path) -> Result<(PathBuf, File), Format
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_left_behind_is_removed_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let (writing, _file) = Destination::file(&at("a.las"), false).unwrap();
+        let users = [".esker-notes.tmp", ".esker-1-2.tmp.txt", "esker-1-2.tmp", ".esker-1-.tmp", ".esker-1-2-3.tmp"];
+        users.iter().for_each(|name| fs::write(at(name), b"mine").unwrap());
+        fs::write(at(".esker-12345678-0.tmp"), b"half a file").unwrap();
+        fs::create_dir(at(".esker-1-1.tmp")).unwrap();
+        drop(Destination::file(&at("b.las"), false).unwrap());
+        assert!(!at(".esker-12345678-0.tmp").exists() && at(".esker-1-1.tmp").exists());
+        assert!(users.iter().all(|name| at(name).exists()) && writing.temporary.exists());
+    }
 
     fn reason(result: Result<(Destination, File), FormatError>) -> String {
         result.unwrap_err().to_string()

@@ -1,6 +1,7 @@
 //! What a changed tree comes to: rows and chunks of the nodes whose content is new, rows alone of those above them.
 
 use super::super::IngestError;
+use super::super::progress::Progress;
 use super::super::writing::{Sink, through};
 use super::columns::Scattered;
 use super::nodes::{Change, Own, Stored};
@@ -14,8 +15,8 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Encoded nodes that wait for the writer, at most.
-const QUEUE: usize = 32;
+/// Bytes of encoded nodes that wait for the writer, at most.
+const QUEUE_BYTES: usize = 16 << 20;
 
 /// The part of a commit that one layer's change makes.
 #[derive(Debug, Default)]
@@ -36,6 +37,7 @@ pub(super) fn finish(
     writer: &mut Writer,
     layer: u16,
     tree: &Tree<Stored<'_>>,
+    progress: &dyn Progress,
 ) -> Result<Edit, IngestError> {
     let stored_root = ground.snapshot.site().roots.get(usize::from(layer)).copied().flatten();
     let nodes = tree.nodes();
@@ -47,8 +49,8 @@ pub(super) fn finish(
     edit.delete = nodes.changes().iter().filter_map(gone).collect();
     let Some(root) = tree.root() else { return Ok(edit) };
     let affected = Affected::of(nodes, root);
-    let ids = writer.chunk_ids();
-    let ((), written) = through(writer, QUEUE, |sink| {
+    let ids = ChunkIds::default();
+    let ((), written) = through(writer, QUEUE_BYTES, progress, |sink| {
         let same_root = stored_root == Some(root);
         let scratches = Pool::default();
         Job { ground, nodes, affected: &affected, root, same_root, ids: &ids, scratches, sink }.run(root, &[])

@@ -65,7 +65,7 @@ pub(super) fn change(
         tree.insert(points)?;
     }
     progress.stage(Stage::Build, tree.nodes().written_points());
-    finish::finish(ground, writer, layer, &tree)
+    finish::finish(ground, writer, layer, &tree, progress)
 }
 
 /// How many stored points of a layer lie in nodes that would receive at least one of `points`, which ascend: what

@@ -228,8 +228,20 @@ fn sources(text: &str, name: &Name, names: &Names) -> Result<Vec<Source>, Filter
     Ok(sources)
 }
 
-/// The attributes that a user means by `name`; several if types or scalings differ.
+/// The attributes that a user means by `name`; several if types or scalings differ. `NAME:TYPE` means those of one type, unless an
+/// attribute is called so.
 pub(crate) fn attributes_named<'a>(name: &str, attributes: &'a [StoredAttribute]) -> Vec<&'a StoredAttribute> {
+    let found = of_any_type(name, attributes);
+    let typed = || name.rsplit_once(':').and_then(|(name, word)| Some((name, ScalarType::from_word(word)?)));
+    match typed() {
+        Some((name, ty)) if found.is_empty() => {
+            of_any_type(name, attributes).into_iter().filter(|a| a.attribute.ty == ty).collect()
+        }
+        _ => found,
+    }
+}
+
+fn of_any_type<'a>(name: &str, attributes: &'a [StoredAttribute]) -> Vec<&'a StoredAttribute> {
     let with = |test: &dyn Fn(&str) -> bool| -> Vec<&'a StoredAttribute> {
         attributes.iter().filter(|a| test(&a.attribute.name)).collect()
     };

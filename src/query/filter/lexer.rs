@@ -2,6 +2,7 @@
 
 use super::FilterError;
 use crate::lattice::Decimal;
+use crate::points::ScalarType;
 
 /// The most digits of a number that are kept exactly; more is refused.
 const MAX_DIGITS: usize = 36;
@@ -104,7 +105,7 @@ fn quoted(chars: &[char], i: &mut usize) -> Option<String> {
     }
 }
 
-/// A name: letters, digits, `_`, `.`, and an index in brackets.
+/// A name: letters, digits, `_`, `.`, an index in brackets, and the word of a type behind a colon.
 fn word(chars: &[char], i: &mut usize) -> String {
     let start = *i;
     while chars.get(*i).is_some_and(|c| c.is_alphanumeric() || *c == '_' || *c == '.') {
@@ -114,6 +115,13 @@ fn word(chars: &[char], i: &mut usize) -> String {
         let digits = chars[*i + 1..].iter().take_while(|c| c.is_ascii_digit()).count();
         if digits > 0 && chars.get(*i + 1 + digits) == Some(&']') {
             *i += digits + 2;
+        }
+    }
+    if chars.get(*i) == Some(&':') {
+        let letters = chars[*i + 1..].iter().take_while(|c| c.is_alphanumeric()).count();
+        let word: String = chars[*i + 1..*i + 1 + letters].iter().collect();
+        if ScalarType::from_word(&word).is_some() {
+            *i += letters + 1;
         }
     }
     chars[start..*i].iter().collect()
@@ -176,7 +184,7 @@ mod tests {
 
     #[test]
     fn quotes_and_indices_are_part_of_names() {
-        let kinds: Vec<_> = tokens("\"my \"\"x\"\"\" 'it''s' flow[2] extra.Red a<>b").unwrap();
+        let kinds: Vec<_> = tokens("\"my \"\"x\"\"\" 'it''s' flow[2] extra.Red Intensity:f32 n[0]:u8>1 a<>b").unwrap();
         let kinds: Vec<_> = kinds.into_iter().map(|t| t.kind).collect();
         let word = |s: &str| Kind::Word(s.into());
         let expected = vec![
@@ -184,6 +192,10 @@ mod tests {
             Kind::Text("it's".into()),
             word("flow[2]"),
             word("extra.Red"),
+            word("Intensity:f32"),
+            word("n[0]:u8"),
+            Kind::Symbol(">"),
+            Kind::Number(Decimal::new(1, 0)),
             word("a"),
             Kind::Symbol("<>"),
             word("b"),
@@ -192,5 +204,6 @@ mod tests {
         assert_eq!(kinds, expected);
         assert!(tokens("'open").is_err());
         assert!(tokens("a # b").is_err());
+        assert!(tokens("a:f33").is_err() && tokens("a:f32x").is_err() && tokens("a:").is_err());
     }
 }

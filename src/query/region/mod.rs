@@ -181,6 +181,15 @@ impl Region {
         Self::Not(Box::new(self))
     }
 
+    /// Is it a box, or what is in one of several?
+    pub(crate) fn is_of_boxes(&self) -> bool {
+        match self {
+            Self::Box { .. } => true,
+            Self::Any(terms) => !terms.is_empty() && terms.iter().all(Self::is_of_boxes),
+            _ => false,
+        }
+    }
+
     /// The axis, 0 to 2, on which a box ends where it begins, so that it holds nothing without its maximum faces.
     pub fn empty_axis(&self) -> Option<usize> {
         let Self::Box { min, max } = self else { return None };

@@ -123,7 +123,12 @@ fn check(store: &Store, deep: bool, progress: Progress<'_>) -> ControlFlow<(), R
     };
     let all_nodes = damage.is_empty();
     damage.into_iter().for_each(|e| report.add_error(e));
-    match snapshot.with(|c| tables::check(c, snapshot.site_row(), &index, all_nodes)) {
+    let found = snapshot.with(|c| tables::check(c, snapshot.site_row(), &index, all_nodes));
+    if snapshot.generation() == 0 && store.changed(&snapshot).unwrap_or(false) {
+        // The first commit came between: of a store without one no transaction is held.
+        return check(store, deep, progress);
+    }
+    match found {
         Ok(found) => report.add(found),
         Err(e) => report.add_error(e),
     }

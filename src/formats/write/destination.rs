@@ -215,12 +215,13 @@ impl Destination {
             let copied = io::copy(&mut file, &mut out).and_then(|_| io::Write::flush(&mut out));
             return copied.map_err(|source| FormatError::Io { path: self.shown.clone(), action: "writing", source });
         };
-        // Windows renames no open file.
-        drop(file);
         if !self.force && fs::symlink_metadata(path).is_ok() {
             return Err(self.unwritable("was created by someone else meanwhile; use --force to replace it"));
         }
-        fs::rename(&self.temporary, path).map_err(|e| self.error("renaming the complete file", e))
+        let renamed = fs::rename(&self.temporary, path).map_err(|e| self.error("renaming the complete file", e));
+        // Locked until it has its name: nobody takes it for one that was left behind.
+        drop(file);
+        renamed
     }
 }
 

@@ -133,7 +133,7 @@ pub(super) fn open(
             if let Some(reason) = by_identity.get(&identity) {
                 let scan = stored.iter().find(|s| s.identity == identity);
                 let kept = scan.map_or("", |s| kept_of(s, options));
-                let rejected = scan.map_or(0, |s| s.read - s.stored);
+                let rejected = scan.map_or(0, |s| s.read.saturating_sub(s.stored));
                 let lost = match rejected {
                     0 => String::new(),
                     _ => format!("; {} rejected then", counted(rejected, "point")),

@@ -11,6 +11,8 @@ mod digest;
 mod encode;
 mod error;
 mod files;
+#[cfg(test)]
+mod first_tests;
 mod flip;
 mod flip_check;
 mod handle;

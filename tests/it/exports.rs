@@ -224,3 +224,26 @@ fn files_of_a_split_answer_tell_which_scan_or_class_they_hold() {
         assert!(told["path"].as_str().unwrap().ends_with(&format!("c_class{}.las", told["class"])), "{told}");
     }
 }
+
+/// What had its name already stayed, of an answer that could not be written whole.
+#[test]
+fn a_split_answer_that_fails_leaves_none_of_its_files() {
+    use esker::export::{ExportOptions, SplitBy, Target, export};
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("c.csv"), "x,y,z,classification\n0,0,0,2\n1,0,0,5\n2,0,0,6\n").unwrap();
+    esker_ok(&["ingest", at("s.esker").to_str().unwrap(), at("c.csv").to_str().unwrap()]);
+    let snapshot = esker::store::Store::open(at("s.esker")).unwrap().snapshot().unwrap();
+    let split = |force: bool, meanwhile: &dyn Fn()| {
+        let options = ExportOptions { split: Some(SplitBy::Class), force, ..ExportOptions::default() };
+        let query = esker::query::Query::new();
+        export(&snapshot, &query, Target::File(&at("out.csv")), &options, |_| meanwhile())
+    };
+    // Somebody makes the last of the files while they are written.
+    let error = split(false, &|| fs::write(at("out_class6.csv"), "mine").unwrap()).unwrap_err().to_string();
+    assert!(error.contains("out_class6.csv") && error.contains("meanwhile"), "{error}");
+    assert!(!at("out_class2.csv").exists() && !at("out_class5.csv").exists());
+    assert_eq!(fs::read_to_string(at("out_class6.csv")).unwrap(), "mine");
+    assert_eq!(split(true, &|| {}).unwrap().files.len(), 3);
+    assert!(fs::read_to_string(at("out_class6.csv")).unwrap().ends_with("2,0,0,6\n"));
+}

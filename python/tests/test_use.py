@@ -98,7 +98,7 @@ def test_whole_numbers_keep_all_their_digits(tmp_path):
     esker.ingest(tmp_path / "ids.esker", [tmp_path / "ids.csv"])
     with esker.open(tmp_path / "ids.esker") as store:
         told = next(a for a in store.info["attributes"] if a["name"] == "id")
-        assert told["min_max"] == [-9007199254740995, 9007199254740993]
+        assert [told["min"], told["max"]] == [-9007199254740995, 9007199254740993]
         found = next(a for a in store.summary()["attributes"] if a["name"] == "id")
         assert (found["min"], found["max"]) == (-9007199254740995, 9007199254740993)
 

@@ -90,7 +90,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open_with(&arguments.store, Limits::once())?;
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
-    let density = arguments.which.query(region.clone(), &snapshot)?.density(&snapshot, arguments.side)?;
+    let (query, watching) = arguments.which.watched(arguments.which.query(region.clone(), &snapshot)?, false);
+    let density = query.density(&snapshot, arguments.side)?;
+    drop(watching);
     if density.counts.is_empty() {
         tell_why_nothing(&snapshot, &region, &arguments.which.scans)?;
     }

@@ -1,8 +1,9 @@
 //! `esker digest`: two hashes of what a store holds.
 
 use super::progress::Shown;
-use super::{Outcome, changing::Changing, output};
-use crate::ingest::digest;
+use super::watching::Reading;
+use super::{Outcome, output, values};
+use crate::ingest::{Resources, digest};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -15,16 +16,21 @@ use std::path::PathBuf;
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
+    /// Memory to use at most where layers are put together, such as 512MiB or 4GiB (default: a quarter of the machine's).
+    #[arg(long, value_name = "SIZE", value_parser = values::memory)]
+    memory: Option<u64>,
     #[command(flatten)]
-    changing: Changing,
+    reading: Reading,
     /// One JSON object on stdout.
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
-    let shown = Shown::new(arguments.changing.progress);
-    let result = digest(&arguments.store, &arguments.changing.resources(), &shown);
+    let shown = Shown::new(arguments.reading.progress);
+    let threads = arguments.reading.threads.map(usize::from);
+    let resources = Resources { memory_bytes: arguments.memory, threads, ..Resources::default() };
+    let result = digest(&arguments.store, &resources, &shown);
     shown.clear();
     let digest = result?;
     if arguments.json {

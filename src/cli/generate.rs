@@ -1,10 +1,14 @@
 //! `esker generate`: synthetic models for trials.
 
 use super::interrupt::cancelled_by_interrupt;
+use super::progress::Mode;
+use super::watching::Watching;
 use super::{Outcome, Usage, output, values};
 use crate::generate::{GenerateOptions, Kind, generate};
 use clap::Args;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Makes a synthetic model as LAS or LAZ: the same file for the same seed.
 ///
@@ -58,9 +62,15 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     }
     let scans = arguments.scans.unwrap_or(GenerateOptions::default().scans);
     let options = GenerateOptions { force: arguments.force, scans, laz: arguments.laz };
-    let cancel = cancelled_by_interrupt();
-    let mut go_on = |_| !cancel.is_cancelled();
-    let report = generate(arguments.kind, arguments.points, arguments.seed, &arguments.output, &options, &mut go_on)?;
+    let (cancel, all, written) = (cancelled_by_interrupt(), arguments.points, Arc::new(AtomicU64::new(0)));
+    let far = written.clone();
+    let watching = Watching::new(Mode::Auto, "generating", move || (far.load(Ordering::Relaxed), Some(all)));
+    let mut go_on = |points| {
+        written.store(points, Ordering::Relaxed);
+        !cancel.is_cancelled()
+    };
+    let report = generate(arguments.kind, all, arguments.seed, &arguments.output, &options, &mut go_on)?;
+    drop(watching);
     for note in &report.notes {
         output::tell!("esker: {}", output::clean(note));
     }

@@ -67,8 +67,8 @@ fn print(snapshot: &Snapshot, info: &Description) -> std::io::Result<()> {
     }
     let (name, ty, bytes, each) = ("attribute", "type", "bytes", "bytes/point");
     output::line(format_args!("{name:32} {ty:8} {bytes:>12} {each:>12} {:>18} {:>18}", "min", "max"))?;
-    for AttributeCost { name, ty, bytes, range, scaling, no_data } in &info.attributes {
-        let [min, max] = range.map_or([String::new(), String::new()], |range| range.map(output::number));
+    for AttributeCost { name, ty, bytes, min, max, scaling, no_data } in &info.attributes {
+        let [min, max] = [min, max].map(|end| end.map_or_else(String::new, output::number));
         let each = per_point(*bytes, info.points);
         let mut line = format!("{:32} {ty:8} {bytes:>12} {each:>12.3} {min:>18} {max:>18}", output::clean(name));
         // There may be several of one name, told apart by these.

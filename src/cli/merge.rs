@@ -31,14 +31,14 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let result = ingest::merge(&arguments.out, &arguments.stores, &arguments.changing.resources(), &shown);
     shown.clear();
     let merged = result?;
+    for note in &merged.notes {
+        output::tell!("esker: {}", output::clean(note));
+    }
     if arguments.json {
         output::json(&serde_json::to_value(&merged)?)?;
     } else {
-        for name in &merged.skipped {
-            output::line(format_args!("{}: skipped, it is there already", output::clean(name)))?;
-        }
-        for note in &merged.notes {
-            output::tell!("esker: {}", output::clean(note));
+        for ingest::SkippedScan { name, reason, .. } in &merged.skipped {
+            output::line(format_args!("{}: skipped, {reason}", output::clean(name)))?;
         }
         output::line(format_args!(
             "{}, {} joined in {:.1} s",

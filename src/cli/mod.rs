@@ -26,6 +26,7 @@ mod verify;
 #[cfg(feature = "viewer")]
 mod view;
 mod visibility;
+mod watching;
 mod which;
 
 use crate::export::ExportError;

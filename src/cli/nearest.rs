@@ -83,7 +83,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let query = query.with_scans(planned.meeting.needs_scans());
+    let (query, watching) = arguments.which.watched(query, false);
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
+    drop(watching);
     if found.batch.is_empty() {
         tell_why_nothing(&snapshot, &region, &arguments.which.scans)?;
     }

@@ -37,15 +37,7 @@ impl Shown {
         let flag = stopped.clone();
         // A second handler in one process can't be set; then Ctrl-C keeps its ordinary meaning, which is safe too.
         let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
-        let bar = ProgressBar::no_length();
-        if mode != Mode::Auto || !std::io::stderr().is_terminal() {
-            bar.set_draw_target(ProgressDrawTarget::hidden());
-        }
-        if let Ok(style) =
-            ProgressStyle::with_template("{msg:9} [{bar:32}] {human_pos}/{human_len} points  {rate}  {eta} left")
-        {
-            bar.set_style(style.progress_chars("=> ").with_key("rate", rate));
-        }
+        let bar = if mode == Mode::Auto { bar("") } else { ProgressBar::hidden() };
         Self { mode, bar, stopped, state: Mutex::new(None), total: AtomicU64::new(0), done: AtomicU64::new(0) }
     }
 
@@ -58,6 +50,21 @@ impl Shown {
         let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
         output::tell!("{}", serde_json::json!({ "stage": stage.word(), "points": done, "total": total }));
     }
+}
+
+/// A bar for a stage of the work, hidden where stderr is no terminal.
+pub(super) fn bar(stage: &'static str) -> ProgressBar {
+    let bar = ProgressBar::no_length();
+    if !std::io::stderr().is_terminal() {
+        bar.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    if let Ok(style) =
+        ProgressStyle::with_template("{msg:9} [{bar:32}] {human_pos}/{human_len} points  {rate}  {eta} left")
+    {
+        bar.set_style(style.progress_chars("=> ").with_key("rate", rate));
+    }
+    bar.set_message(stage);
+    bar
 }
 
 /// Points a second, whole ones.

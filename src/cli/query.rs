@@ -200,9 +200,12 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
     *holders = Some(store.holders());
     let snapshot = store.snapshot()?;
     let region = arguments.which.region(&snapshot)?;
+    let to_stdout = target.is_some_and(|(path, _)| path == Path::new("-"));
     let query = query(arguments, region.clone(), &snapshot)?;
+    let (query, watching) = arguments.which.watched(query, to_stdout);
     if let Some(which) = arguments.explain {
         let explanation = query.explain(&snapshot)?;
+        drop(watching);
         warn(arguments, &snapshot, &region, &explanation.answer)?;
         if arguments.json {
             output::json(&serde_json::to_value(&explanation)?)?;
@@ -216,6 +219,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
     }
     if arguments.count {
         let answer = query.count(&snapshot)?;
+        drop(watching);
         warn(arguments, &snapshot, &region, &answer)?;
         output::line(answer.points)?;
         return Ok(Outcome::Done);
@@ -223,6 +227,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
     match target {
         None => {
             let (answer, summary) = query.summary(&snapshot)?;
+            drop(watching);
             warn(arguments, &snapshot, &region, &answer)?;
             if arguments.json {
                 let mut value = serde_json::to_value(&answer)?;
@@ -233,7 +238,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
             }
         }
         Some((path, format)) => {
-            let target = if path == Path::new("-") { Target::StandardOutput } else { Target::File(path) };
+            let target = if to_stdout { Target::StandardOutput } else { Target::File(path) };
             let options = ExportOptions {
                 format: Some(format),
                 scale: arguments.scale,
@@ -242,6 +247,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
                 force: arguments.force,
             };
             let Exported { answer, files, notes } = export::export(&snapshot, &query, target, &options, |_| {})?;
+            drop(watching);
             for note in notes {
                 output::tell!("esker: {}", output::clean(&note));
             }

@@ -33,8 +33,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     if arguments.json {
         output::json(&serde_json::to_value(&removed)?)?;
     } else {
-        for name in &removed.scans {
-            output::line(format_args!("{}: removed", output::clean(name)))?;
+        for scan in &removed.scans {
+            output::line(format_args!("{}: removed", output::clean(&scan.name)))?;
         }
         output::line(format_args!(
             "{} removed in {:.2} s; the file has {} now, {} before",

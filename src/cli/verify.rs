@@ -1,13 +1,14 @@
 //! `esker verify`: is the store whole?
 
 use super::interrupt::cancelled_by_interrupt;
+use super::watching::{Reading, Watching};
 use super::{Outcome, output};
 use crate::store::{Report, Store, verify};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Damage that is told in words; the rest is counted.
 const TOLD: usize = 20;
@@ -23,6 +24,8 @@ pub(super) struct Arguments {
     /// Also check that every point is stored where the sampling rule puts it.
     #[arg(long)]
     deep: bool,
+    #[command(flatten)]
+    reading: Reading,
     /// One JSON object on stdout.
     #[arg(long)]
     json: bool,
@@ -35,20 +38,18 @@ pub(super) struct Ended;
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let store = Store::open(&arguments.store)?;
-    let bar = ProgressBar::no_length();
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    if let Ok(style) = ProgressStyle::with_template("verifying [{bar:32}] {human_pos}/{human_len} points  {eta} left") {
-        bar.set_style(style.progress_chars("=> "));
-    }
+    let far = Arc::new([AtomicU64::new(0), AtomicU64::new(0)]);
     let cancel = cancelled_by_interrupt();
-    let report = verify(&store, arguments.deep, &|done, all| {
-        bar.set_length(all);
-        bar.set_position(done);
+    let go_on = |done, all| {
+        far[0].store(done, Ordering::Relaxed);
+        far[1].store(all, Ordering::Relaxed);
         if cancel.is_cancelled() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    });
-    bar.finish_and_clear();
+    };
+    let shown = far.clone();
+    let shown = move || (shown[0].load(Ordering::Relaxed), Some(shown[1].load(Ordering::Relaxed)));
+    let watching = Watching::new(arguments.reading.progress, "verifying", shown);
+    let report = arguments.reading.pool()?.install(|| verify(&store, arguments.deep, &go_on));
+    drop(watching);
     let report = report.ok_or(Ended)?;
     if arguments.json {
         let findings: Vec<_> = report

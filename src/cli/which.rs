@@ -2,10 +2,12 @@
 
 use super::interrupt::cancelled_by_interrupt;
 use super::output;
+use super::progress::Mode;
 use super::region::Where;
 use super::values;
+use super::watching::{Reading, Watching};
 use crate::geometry::Containment;
-use crate::query::{Filter, Query, Region};
+use crate::query::{Filter, Query, Region, Watch};
 use crate::store::{Snapshot, WorldBounds};
 use clap::Args;
 
@@ -19,6 +21,8 @@ pub(super) struct Which {
     /// Only this scan, by name or id; may be given several times.
     #[arg(long = "scan", value_name = "NAME", value_parser = values::name, allow_hyphen_values = true)]
     pub scans: Vec<String>,
+    #[command(flatten)]
+    pub reading: Reading,
 }
 
 impl Which {
@@ -36,7 +40,19 @@ impl Which {
         if !self.scans.is_empty() {
             query = query.scans(self.scans.iter().cloned());
         }
+        if let Some(threads) = self.reading.threads {
+            query = query.threads(threads.into());
+        }
         Ok(query)
+    }
+
+    /// The same query, which shows how far it is until what comes with it is dropped. No bar crosses points that go to
+    /// stdout.
+    pub fn watched(&self, query: Query, to_stdout: bool) -> (Query, Watching) {
+        let mode = if to_stdout && self.reading.progress == Mode::Auto { Mode::None } else { self.reading.progress };
+        let watch = Watch::new();
+        let query = query.watch(&watch);
+        (query, Watching::new(mode, "querying", move || (watch.points(), watch.expected())))
     }
 }
 

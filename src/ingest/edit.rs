@@ -7,7 +7,7 @@ use super::context::{Context, Resources};
 use super::layers::{digest_of_all, fold_all, joined, scan_table, taken_layers, withdraw};
 use super::measure::measure;
 use super::progress::{Progress, Stage};
-use super::report::{Report, Skipped, Stages};
+use super::report::{NamedScan, Report, Skipped, Stages};
 use super::run::{fold_at_last, opened};
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
@@ -21,9 +21,9 @@ use std::time::Instant;
 /// What [`remove`] did.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Removed {
-    /// The names of the scans that are gone.
-    pub scans: Vec<String>,
-    /// Their points.
+    /// The scans that are gone.
+    pub scans: Vec<NamedScan>,
+    /// Their points, of all of them.
     pub points: u64,
     /// Rows of encoded columns that were written anew.
     pub chunks_written: u64,
@@ -67,7 +67,7 @@ pub fn remove(
         let doomed = find_all(snapshot.scans(), scans)?;
         let gone: Vec<&Scan> = snapshot.scans().iter().filter(|s| doomed.contains(&s.id)).collect();
         let mut removed = Removed {
-            scans: gone.iter().map(|s| s.name.clone()).collect(),
+            scans: gone.iter().map(|s| NamedScan::new(s)).collect(),
             points: gone.iter().map(|s| s.stored).sum(),
             bytes_before,
             ..Removed::default()
@@ -264,7 +264,12 @@ pub fn digest(path: &Path, resources: &Resources, progress: &dyn Progress) -> Re
     Context::run(path, resources, progress, |context| {
         let snapshot = Store::open(path)?.snapshot()?;
         if taken_layers(snapshot.site()).count() < 2 {
-            return crate::store::digest(&snapshot, &|| progress.cancelled())?.ok_or(IngestError::Interrupted);
+            progress.stage(Stage::Read, snapshot.scans().iter().map(|s| s.stored).sum());
+            let go_on = |points| {
+                progress.advance(points);
+                !progress.cancelled()
+            };
+            return crate::store::digest(&snapshot, &go_on)?.ok_or(IngestError::Interrupted);
         }
         digest_of_all(context, &snapshot)
     })

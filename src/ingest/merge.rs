@@ -8,6 +8,7 @@ use super::layers::scan_table;
 use super::naming::numbered_name;
 use super::partition::RowPlan;
 use super::progress::{Progress, Stage};
+use super::report::NamedScan;
 use super::stored::StoredPoints;
 use crate::lattice::{Cube, Key, LatticeBox};
 use crate::points::Attribute;
@@ -21,16 +22,27 @@ use std::time::Instant;
 /// What [`merge`] did.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Merged {
-    /// The names of the scans in the new store.
-    pub scans: Vec<String>,
-    /// Scans that several of the stores have, by name: they are taken once.
-    pub skipped: Vec<String>,
+    /// The scans in the new store.
+    pub scans: Vec<NamedScan>,
+    /// Scans that a store before has already: they are taken once.
+    pub skipped: Vec<SkippedScan>,
     /// What a user should know of it.
     pub notes: Vec<String>,
     /// Points.
     pub points: u64,
     /// Wall time.
     pub seconds: f64,
+}
+
+/// A scan that was passed over.
+#[derive(Clone, Debug, Serialize)]
+pub struct SkippedScan {
+    /// The store that has it, as given.
+    pub path: String,
+    /// The scan's name in that store.
+    pub name: String,
+    /// Why.
+    pub reason: String,
 }
 
 /// A store to be joined.
@@ -191,7 +203,11 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
         let first_slot = u32::try_from(scans.len()).unwrap_or(u32::MAX);
         let new: HashSet<_> = shard.snapshot.scans().iter().filter(|s| seen.insert(s.identity)).map(|s| s.id).collect();
         let twice = shard.snapshot.scans().iter().filter(|s| !new.contains(&s.id));
-        merged.skipped.extend(twice.map(|s| s.name.clone()));
+        merged.skipped.extend(twice.map(|s| SkippedScan {
+            path: shard.path.display().to_string(),
+            name: s.name.clone(),
+            reason: "it is there already".into(),
+        }));
         let part = StoredPoints::new(&shard.path, &shard.snapshot, None, first_slot, |s| new.contains(&s.id))?;
         for scan in part.scans() {
             let attributes: Vec<Attribute> = scan
@@ -241,7 +257,7 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
         flip.roots = Some(vec![Some(root)]);
     }
     merged.points = points;
-    merged.scans = scans.iter().map(|s| s.name.clone()).collect();
+    merged.scans = scans.iter().map(NamedScan::new).collect();
     context.progress.stage(Stage::Commit, points);
     let flip = Flip { scans_added: scans, ..flip };
     context.unless_cancelled(|stop| writer.commit_unless(flip, stop))?;

@@ -43,9 +43,9 @@ pub use context::Resources;
 pub use edit::{Compacted, Removed, compact, digest, remove, replace, set_visible};
 pub use error::IngestError;
 pub use lattice_choice::LatticeWish;
-pub use merge::{Merged, merge};
+pub use merge::{Merged, SkippedScan, merge};
 pub use progress::{Progress, Stage};
-pub use report::{Report, ScanReport, Skipped, StageReport};
+pub use report::{NamedScan, Report, ScanReport, Skipped, StageReport};
 pub use run::ingest;
 
 use crate::geometry::Pose;

@@ -1,6 +1,7 @@
 //! What an ingest did, for people and programs.
 
 use super::progress::Stage;
+use crate::store::model::Scan;
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -58,6 +59,21 @@ pub struct ScanReport {
     pub max_error: f64,
     /// What a user should know.
     pub warnings: Vec<String>,
+}
+
+/// A scan that was taken out, or that was brought along.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct NamedScan {
+    /// Its name in the store.
+    pub name: String,
+    /// Its points.
+    pub points: u64,
+}
+
+impl NamedScan {
+    pub(super) fn new(scan: &Scan) -> Self {
+        Self { name: scan.name.clone(), points: scan.stored }
+    }
 }
 
 /// An input that was passed over.

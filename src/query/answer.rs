@@ -20,7 +20,6 @@ pub struct Answer {
     /// those that none of them has. `None` where they were not counted, which is done at full detail only.
     pub on_maximum_faces: Option<u64>,
     /// What it cost.
-    #[serde(flatten)]
     pub statistics: Statistics,
 }
 

@@ -196,7 +196,7 @@ impl Plan {
     /// What the rows say, and the parts that must be read.
     fn by_rows(&self, grid: &Grid) -> Result<(Squares, Vec<(NodeIx, usize)>), QueryError> {
         let mut squares = Squares::default();
-        let mut parts = Vec::new();
+        let (mut parts, mut points) = (Vec::new(), 0);
         let heights = |points: u64, b: &LatticeBox| Square { points, lowest: b.min.0[2], highest: b.max.0[2] };
         self.walk(|node| {
             if let Some(at) = grid.around(&node.subtree_bounds)?
@@ -212,11 +212,13 @@ impl Plan {
                 (Prospect::Everything, Some(at)) => squares.add(at, heights(node.own_points, bounds)),
                 _ => {
                     Meter::add(&self.meter.nodes, 1);
+                    points += node.own_points;
                     parts.extend((0..node.parts.len()).map(|part| (node.ix(), part)));
                 }
             }
             Ok(true)
         })?;
+        self.expects(points);
         Ok((squares, parts))
     }
 

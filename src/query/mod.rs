@@ -46,6 +46,7 @@ mod thin;
 mod ties;
 mod view;
 mod view_parts;
+mod watch;
 
 pub use answer::{Answer, Statistics};
 pub use batches::Batches;
@@ -64,3 +65,4 @@ pub use request::{Attributes, Query};
 pub use summary::AttributeSummary;
 pub use view::{SelectedPart, Selection, select_view};
 pub use view_parts::{PartId, PartPoints, Take, ViewParts, Wanted, WantedNode, WantedPart};
+pub use watch::Watch;

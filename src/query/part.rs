@@ -337,7 +337,7 @@ impl<'a> Part<'a> {
         let mut positions = Positions::with_capacity(len);
         chunk.decode_block(decoder, block, &mut positions).map_err(|e| self.damaged(SLOT_POSITION, &e))?;
         Meter::add(&self.plan.meter.blocks, 1);
-        Meter::add(&self.plan.meter.points_decoded, len as u64);
+        self.plan.decoded(len as u64);
         let positions = Arc::new(positions);
         self.keep(SLOT_POSITION, block, CachedBlock::Positions(positions.clone()));
         Ok(positions)

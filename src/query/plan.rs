@@ -8,6 +8,7 @@ use super::kinds::Kinds;
 use super::mask::Mask;
 use super::output::contributing;
 use super::region::LatticeRegion;
+use super::watch::Watch;
 use super::{Attributes, Filter, Query, QueryError, Region, error::nearest};
 use crate::geometry::Containment;
 use crate::lattice::{BITS, Cube, Lattice, LatticeBox, LatticePoint};
@@ -45,6 +46,7 @@ pub(crate) struct Plan {
     /// Threads that decode; `None`: all of the pool.
     pub threads: Option<usize>,
     pub cancel: Cancel,
+    watch: Option<Watch>,
     /// Do decoded blocks go through the store's cache? Not for large answers: they would drive out everything else, and
     /// be copied once more.
     pub keeps_blocks: bool,
@@ -106,6 +108,7 @@ impl Plan {
             with_scans: query.with_scans,
             threads: query.threads,
             cancel: query.cancel.clone().unwrap_or_default(),
+            watch: query.watch.clone(),
             keeps_blocks: false,
             meter: Meter::default(),
             start,
@@ -242,6 +245,21 @@ impl Plan {
         let filter = self.filter_columns.iter().map(|c| c.1.size());
         let point_bytes = 24 + columns.chain(filter).sum::<usize>() as u64;
         self.keeps_blocks = points.saturating_mul(point_bytes) <= self.snapshot.kept_block_bytes() / 2;
+    }
+
+    /// Says that the positions of so many points were decoded.
+    pub fn decoded(&self, points: u64) {
+        Meter::add(&self.meter.points_decoded, points);
+        if let Some(watch) = &self.watch {
+            watch.add(points);
+        }
+    }
+
+    /// Says that those of so many points at most will be, and no others.
+    pub fn expects(&self, points: u64) {
+        if let Some(watch) = &self.watch {
+            watch.expect(points);
+        }
     }
 
     /// Does `work` for each of the items, on the query's threads; the results are in their order.

@@ -1,7 +1,7 @@
 //! What is asked for.
 
 use super::plan::asked_scans;
-use super::{Cancel, Detail, Filter, Policy, QueryError, Region};
+use super::{Cancel, Detail, Filter, Policy, QueryError, Region, Watch};
 use crate::geometry::Camera;
 use crate::store::Snapshot;
 use crate::store::model::ScanId;
@@ -54,6 +54,7 @@ pub struct Query {
     pub(super) view: Option<(Camera, f64)>,
     pub(super) threads: Option<usize>,
     pub(super) cancel: Option<Cancel>,
+    pub(super) watch: Option<Watch>,
     pub(super) policy: Policy,
 }
 
@@ -162,6 +163,13 @@ impl Query {
     #[must_use]
     pub fn cancel(mut self, cancel: &Cancel) -> Self {
         self.cancel = Some(cancel.clone());
+        self
+    }
+
+    /// Says how far it is.
+    #[must_use]
+    pub fn watch(mut self, watch: &Watch) -> Self {
+        self.watch = Some(watch.clone());
         self
     }
 

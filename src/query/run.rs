@@ -184,7 +184,9 @@ impl Query {
         let root = plan.root();
         let cell = self.detail.cell(root, plan.g, plan.lattice.quantum_f64())?;
         let listed = |plan: &mut Plan, (tasks, answer): (Vec<Task>, Answer)| {
-            plan.reads(tasks.iter().map(points).sum());
+            let all = tasks.iter().map(points).sum();
+            plan.reads(all);
+            plan.expects(all);
             let tasks: Source<Task> = Box::new(tasks.into_iter().map(Ok));
             (tasks, answer)
         };

@@ -57,7 +57,7 @@ impl Part<'_> {
             }
         }
         Meter::add(&plan.meter.blocks, blocks);
-        Meter::add(&plan.meter.points_decoded, self.blocks.points() as u64);
+        plan.decoded(self.blocks.points() as u64);
         Ok(batch)
     }
 

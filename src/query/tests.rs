@@ -382,6 +382,30 @@ fn only_what_is_asked_for_is_read() {
 }
 
 #[test]
+fn a_watch_says_how_far_a_query_is() {
+    let test = store(&[surface(60_000)], Params { g: 7, leaf_capacity: 32_768 }, None);
+    let watch = Watch::new();
+    assert_eq!((watch.points(), watch.expected()), (0, None));
+    let watched = Query::new().watch(&watch).threads(1);
+    let mut batches = watched.clone().filter(Filter::parse("code >= 0").unwrap()).batches(&test.snapshot).unwrap();
+    assert_eq!((watch.points(), watch.expected()), (0, Some(60_000)));
+    let mut before = 0;
+    for batch in &mut batches {
+        batch.unwrap();
+        assert!(before < watch.points() && watch.points() <= 60_000);
+        before = watch.points();
+    }
+    assert_eq!(before, 60_000);
+    // A second query counts on.
+    watched.density(&test.snapshot, 0.5).unwrap();
+    assert_eq!(watch.points(), watch.expected().unwrap());
+    assert!(watch.points() > before, "{watch:?}");
+    let other = Watch::new();
+    let coarse = Query::new().watch(&other).capacity(500).collect(&test.snapshot).unwrap().1;
+    assert_eq!((other.points(), other.expected()), (coarse.statistics.points_decoded, None));
+}
+
+#[test]
 fn a_sink_that_has_enough_ends_the_query() {
     let test = store(&[surface(60_000)], Params { g: 4, leaf_capacity: 500 }, None);
     let mut batches = 0;

@@ -98,12 +98,12 @@ pub struct AttributeCost {
     pub ty: &'static str,
     /// Bytes of its encoded columns.
     pub bytes: u64,
-    /// The least and the greatest value, scaled, whole ones exactly, NaN left out; `None` where the zone maps cannot tell: of positions, and of
+    /// The least value, scaled, whole ones exactly, NaN left out; `None` where the zone maps cannot tell: of positions, and of
     /// attributes that have a value for "no data".
-    #[serde(rename = "min_max", skip_serializing_if = "Option::is_none")]
-    pub range: Option<[Number; 2]>,
+    pub min: Option<Number>,
+    /// The greatest, in the same way.
+    pub max: Option<Number>,
     /// What makes real values of stored ones.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub scaling: Option<Scaling>,
     /// The stored value that means "no data".
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -121,12 +121,18 @@ pub struct ScanDescription {
     pub source: String,
     /// `las`, `laz`, `e57`, ...
     pub format: String,
-    /// Points stored.
-    pub points: u64,
     /// Records that the source announced or held.
     pub read: u64,
-    /// Records not stored, by reason.
-    pub rejected: RejectedDescription,
+    /// Points stored.
+    pub stored: u64,
+    /// Records that were not stored.
+    pub rejected: u64,
+    /// Of those: no valid position, because a coordinate is NaN or infinite or the scanner marked it as no measurement.
+    pub rejected_not_finite: u64,
+    /// Of those: coordinates outside the lattice.
+    pub rejected_out_of_range: u64,
+    /// Of those: announced by the header but not in the file.
+    pub rejected_truncated: u64,
     /// `exact`, `recoverable` or `rounded`.
     pub positions: &'static str,
     /// The largest distance on one axis between a source coordinate and the stored one, in CRS units.
@@ -143,17 +149,6 @@ pub struct ScanDescription {
     pub visible: bool,
     /// Seconds since 1970, when it was stored.
     pub time: i64,
-}
-
-/// Records of a scan that were not stored, by reason.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct RejectedDescription {
-    /// No valid position.
-    pub not_finite: u64,
-    /// Outside the lattice.
-    pub out_of_range: u64,
-    /// Announced by the header but not in the file.
-    pub truncated: u64,
 }
 
 /// The scaled range of an attribute over all layers.
@@ -197,11 +192,12 @@ pub fn describe(snapshot: &Snapshot) -> Result<Description, StoreError> {
         let range = (attribute.no_data.is_none()).then(|| range_of(slot, attribute, &zones)).flatten();
         let (name, ty) = (attribute.name.clone(), attribute.ty.word());
         let (scaling, no_data) = (attribute.scaling, attribute.no_data_value());
-        Some(AttributeCost { name, ty, bytes, range, scaling, no_data })
+        let (min, max) = range.map(|[min, max]| (min, max)).unzip();
+        Some(AttributeCost { name, ty, bytes, min, max, scaling, no_data })
     });
     let cost = |name: &str, ty, bytes| {
-        let own = AttributeCost { name: name.into(), ty, bytes, range: None, scaling: None, no_data: None };
-        std::iter::once(own)
+        let (min, max, scaling, no_data) = (None, None, None, None);
+        std::iter::once(AttributeCost { name: name.into(), ty, bytes, min, max, scaling, no_data })
     };
     let attributes = cost("position", "3 x u48", info.position_bytes).chain(stored);
     Ok(Description {
@@ -239,13 +235,12 @@ impl ScanDescription {
             name: scan.name.clone(),
             source: scan.source.clone(),
             format: scan.format.clone(),
-            points: scan.stored,
             read: scan.read,
-            rejected: RejectedDescription {
-                not_finite: scan.rejected.not_finite,
-                out_of_range: scan.rejected.out_of_range,
-                truncated: scan.rejected.truncated,
-            },
+            stored: scan.stored,
+            rejected: scan.rejected.total(),
+            rejected_not_finite: scan.rejected.not_finite,
+            rejected_out_of_range: scan.rejected.out_of_range,
+            rejected_truncated: scan.rejected.truncated,
             positions: scan.exactness.word(),
             max_error: scan.largest_error,
             bounds: scan.bounds.map(|b| WorldBounds::new(lattice, &b)),

@@ -22,13 +22,14 @@ pub struct Digest {
     pub scans: Hash,
 }
 
-/// Computes both hashes of a store of one layer; decodes all of it. `cancelled` is asked now and then; true gives `None`.
+/// Computes both hashes of a store of one layer; decodes all of it. `go_on` is told the points of each node
+/// when they were hashed, in no order and from any thread; false gives `None`.
 ///
 /// # Errors
 ///
 /// [`StoreError::Damaged`] if anything can't be read; [`StoreError::Unsupported`] if there are several layers: the
 /// digest is that of the merged tree, which [`crate::ingest::digest`] makes.
-pub fn digest(snapshot: &Snapshot, cancelled: &(dyn Fn() -> bool + Sync)) -> Result<Option<Digest>, StoreError> {
+pub fn digest(snapshot: &Snapshot, go_on: &(dyn Fn(u64) -> bool + Sync)) -> Result<Option<Digest>, StoreError> {
     let index = snapshot.index()?;
     if index.roots().count() > 1 {
         let path = snapshot.place().path().into();
@@ -39,11 +40,9 @@ pub fn digest(snapshot: &Snapshot, cancelled: &(dyn Fn() -> bool + Sync)) -> Res
         .heads()
         .par_iter()
         .map_init(Decoder::new, |decoder, head| {
-            if cancelled() {
-                return Ok(None);
-            }
             let parts = (0..head.parts.len()).map(|part| decode_part(snapshot, head, part, decoder));
-            digester.node(head.cube, head.leaf, parts).map(Some)
+            let node = digester.node(head.cube, head.leaf, parts)?;
+            Ok(go_on(head.own_points).then_some(node))
         })
         .collect::<Result<Option<_>, StoreError>>()?;
     Ok(nodes.map(|nodes| digester.store(&nodes)))

@@ -50,9 +50,7 @@ pub use cache::{BlockKey, CacheFigures, CachedBlock};
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
 pub use decode::{DecodedPart, decode_part, decode_part_keys, follow};
-pub use describe::{
-    AttributeCost, CrsDescription, Description, RejectedDescription, ScanDescription, WorldBounds, describe,
-};
+pub use describe::{AttributeCost, CrsDescription, Description, ScanDescription, WorldBounds, describe};
 pub use digest::{Digest, Digester, digest};
 pub use encode::{
     EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PartColumns, PointColumns, ScanTable, block_size,

@@ -64,7 +64,8 @@ fn every_field_is_documented_and_every_documented_field_is_there() {
     let (scan_1, scan_2) = (at("scans/site_1.las"), at("scans/site_2.las"));
     let docs = documented();
     let answer: BTreeMap<String, String> = docs["An answer"].clone();
-    let mut seen: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    // The paths that were there, and whether one was not null.
+    let mut seen: BTreeMap<&str, BTreeMap<String, bool>> = BTreeMap::new();
     let mut check = |section: &'static str, arguments: &[&str], from_stderr: bool| {
         let output = esker(arguments);
         let text = String::from_utf8(if from_stderr { output.stderr } else { output.stdout }).unwrap();
@@ -74,11 +75,11 @@ fn every_field_is_documented_and_every_documented_field_is_there() {
         paths(&value, "", &mut found);
         let seen = seen.entry(section).or_default();
         for (path, kind) in found {
-            let of_answer = path.strip_prefix("answer.").or_else(|| path.strip_prefix("statistics.")).unwrap_or(&path);
+            let of_answer = path.strip_prefix("answer.").unwrap_or(&path);
             let known = docs[section].get(&path).or_else(|| answer.get(of_answer));
             let known = known.unwrap_or_else(|| panic!("`{path}` of {arguments:?} is not documented"));
             assert!(is_of(known, kind), "`{path}` of {arguments:?} is {kind}, and documented as {known}");
-            seen.insert(path);
+            *seen.entry(path).or_default() |= kind != "null";
         }
     };
     let ingest = "ingest --json";
@@ -109,14 +110,47 @@ fn every_field_is_documented_and_every_documented_field_is_there() {
     for (section, seen) in &seen {
         for (path, kind) in &docs[*section] {
             let within = path.rsplit_once('.').map(|(parent, _)| parent.to_owned());
-            let is_in = within.as_ref().is_none_or(|parent| seen.contains(parent));
+            let is_in = within.as_ref().is_none_or(|parent| seen.get(parent) == Some(&true));
             let may_be_empty = path.ends_with("[]");
             assert!(
-                seen.contains(path) || !is_in || may_be_empty || kind.contains("optional"),
+                seen.contains_key(path) || !is_in || may_be_empty || kind.contains("optional"),
                 "`{path}` of `{section}` is not there"
             );
         }
     }
     let missing: Vec<_> = docs.keys().filter(|s| s.ends_with("--json") && !seen.contains_key(s.as_str())).collect();
     assert_eq!(missing, [] as [&String; 0]);
+}
+
+#[test]
+fn commands_that_take_long_say_how_far_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = at("s.esker");
+    esker_ok(&["generate", "terrain", "--points", "3000", "-o", &at("t.las")]);
+    esker_ok(&["ingest", &store, &at("t.las")]);
+    let (stages, csv) = (["reading", "verifying", "querying"], at("out.csv"));
+    let commands: [(&str, &[&str]); 7] = [
+        (stages[0], &["digest", &store]),
+        (stages[1], &["verify", &store]),
+        (stages[2], &["query", &store, "--count"]),
+        (stages[2], &["query", &store, "-o", &csv, "--where", "Intensity > 0"]),
+        (stages[2], &["query", &store, "-o", "-", "--format", "csv", "--level", "1"]),
+        (stages[2], &["nearest", &store, "--at", "0,0,0"]),
+        (stages[2], &["density", &store, "--side", "10"]),
+    ];
+    for (stage, command) in commands {
+        let _ = fs::remove_file(&csv);
+        let told = esker(&[command, &["--progress", "json", "--threads", "2"]].concat());
+        assert_eq!(told.status.code(), Some(0), "{command:?}");
+        let lines = String::from_utf8(told.stderr).unwrap();
+        let first: Value = serde_json::from_str(lines.lines().find(|l| l.starts_with("{\"points\"")).unwrap()).unwrap();
+        assert_eq!((&first["stage"], &first["points"]), (&stage.into(), &0.into()), "{command:?}");
+        assert!(first["total"].is_u64() || first["total"].is_null(), "{command:?}: {first}");
+        // Nothing of it where nobody asked.
+        let _ = fs::remove_file(&csv);
+        let quiet = esker(command);
+        assert_eq!(quiet.stdout, told.stdout, "{command:?}");
+        assert!(quiet.stderr.is_empty(), "{command:?}");
+    }
 }

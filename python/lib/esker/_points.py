@@ -176,8 +176,9 @@ class Answer(Points):
 
     @property
     def statistics(self) -> Dict[str, Any]:
-        """What the command line's ``query --json`` says of an answer: nodes and bytes read, points decoded, time."""
-        return dict(self._report)
+        """What the answer cost, as ``statistics`` in the command line's ``query --json``: nodes and bytes read, points
+        decoded, time."""
+        return dict(self._report["statistics"])
 
 
 class Batches:
@@ -200,8 +201,9 @@ class Batches:
         return Points(decoded, self._masked)
 
     @property
-    def statistics(self) -> Optional[Dict[str, Any]]:
-        """The answer's statistics and error bound, once all batches were taken; ``None`` before."""
+    def answer(self) -> Optional[Dict[str, Any]]:
+        """What the command line's ``query -o - --json`` says of the answer: points, error bound, what it cost; ``None``
+        until all batches were taken."""
         report = self._batches.answer()
         return None if report is None else json.loads(report)
 

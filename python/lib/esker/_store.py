@@ -122,8 +122,7 @@ class Reader:
         """
         info = json.loads(self._reader.info())
         for attribute in info["attributes"]:
-            if "min_max" in attribute:
-                attribute["min_max"] = [_number(value) for value in attribute["min_max"]]
+            attribute.update({word: _number(attribute[word]) for word in ("min", "max")})
         return info
 
     @property
@@ -148,9 +147,9 @@ class Reader:
 
     @property
     def scans(self) -> List[Dict[str, Any]]:
-        """The scans, as the command line's ``scans --json``: id, name, points, pose, bounds, visible, ...
+        """The scans, as the command line's ``scans --json``: id, name, stored, pose, bounds, visible, ...
 
-        >>> [(scan["id"], scan["name"], scan["points"]) for scan in store.scans]
+        >>> [(scan["id"], scan["name"], scan["stored"]) for scan in store.scans]
         [(1, 'site_1', 20000), (2, 'site_2', 20000), (3, 'site_3', 20000)]
         """
         return json.loads(self._reader.scans())

@@ -8,7 +8,7 @@ use esker::geometry::{Camera, WorldBox};
 use esker::lattice::{BIAS, Cube, Exactness, Lattice, LatticeBox, LatticePoint};
 use esker::points::Batch;
 use esker::query::{Answer, Detail, Query, Region, select_view};
-use esker::store::model::{NodeHead, PartHead, Rejected, Scan, ScanCount, Step, Zones};
+use esker::store::model::{FORMAT_G, NodeHead, PartHead, Rejected, Scan, ScanCount, Step, Zones};
 use esker::store::{Flip, Limits, NodeChange, SiteOptions, Snapshot, Store, Summary, merge_subtree};
 use std::hint::black_box;
 use std::path::Path;
@@ -42,7 +42,7 @@ fn row(what: &str, figure: impl std::fmt::Display) {
 /// A flat site of full nodes, without a single chunk.
 fn made_up(path: &Path) -> Result<(), Error> {
     let options = SiteOptions::new(Lattice::uniform(0.001)?);
-    let (g, k) = (options.g, 15 + DEPTH);
+    let (g, k) = (FORMAT_G, 15 + DEPTH);
     let store = Store::create(path, options)?;
     let mut writer = store.writer()?;
     let scan = writer.reserve_scan();

@@ -43,7 +43,7 @@
 //!
 //! | to | look at |
 //! |---|---|
-//! | put points in, take scans out, merge stores | [`ingest`] |
+//! | put points in, from files or memory, take scans out, merge stores | [`ingest`] |
 //! | ask for points, count, look for neighbours, make rasters | [`query`] |
 //! | write files | [`export`] |
 //! | read files of points without a store | [`formats`] |

@@ -56,16 +56,12 @@ impl Wishes {
             lattice =
                 LatticeWish { quantum: Some(found.quantum_f64()), phase: Some(found.phase().map(Decimal::to_f64)) };
         }
-        let crs = |text: &String| {
-            Crs::parse(text)
-                .ok_or_else(|| bad_ingest(format!("the CRS '{text}' is neither EPSG:N (1024 to 32766) nor WKT")))
-        };
         let pose = |matrix: &[f64; 16]| Pose::from_matrix(matrix).map_err(|e| bad_ingest(format!("a pose: {e}")));
         Ok(IngestOptions {
             lattice,
             memory_bytes: self.memory,
             threads: self.threads,
-            crs: self.crs.as_ref().map(crs).transpose()?,
+            crs: self.crs.as_deref().map(parse_crs).transpose()?,
             ignore_crs: self.ignore_crs,
             name: self.name.clone(),
             poses: self.poses.iter().map(pose).collect::<PyResult<_>>()?,
@@ -77,6 +73,10 @@ impl Wishes {
             ..IngestOptions::default()
         })
     }
+}
+
+fn parse_crs(text: &str) -> PyResult<Crs> {
+    Crs::parse(text).ok_or_else(|| bad_ingest(format!("the CRS '{text}' is neither EPSG:N (1024 to 32766) nor WKT")))
 }
 
 /// What work tells, for a thread that listens; and its wish that the work stop.
@@ -217,6 +217,21 @@ pub fn ingest(
     change(py, &wishes, &listener, |told| library::ingest(&path, &inputs, &options, told))
 }
 
+/// Puts arrays into a store: x, y and z, then attributes.
+#[pyfunction]
+pub fn ingest_table(
+    py: Python<'_>,
+    path: PathBuf,
+    name: String,
+    columns: Vec<(String, Bound<'_, PyAny>)>,
+    wishes: Wishes,
+    listener: Listener,
+) -> PyResult<String> {
+    let options = wishes.options()?;
+    let table = crate::table::table(name, &columns)?;
+    change(py, &wishes, &listener, |told| library::ingest_table(&path, table, &options, told))
+}
+
 /// Takes scans out of a store.
 #[pyfunction]
 pub fn remove(
@@ -254,6 +269,37 @@ pub fn set_visible(
     listener: Listener,
 ) -> PyResult<String> {
     change(py, &wishes, &listener, |told| library::set_visible(&path, &scans, visible, &wishes.resources(), told))
+}
+
+/// Gives a scan another name.
+#[pyfunction]
+pub fn rename(
+    py: Python<'_>,
+    path: PathBuf,
+    scan: String,
+    name: String,
+    wishes: Wishes,
+    listener: Listener,
+) -> PyResult<String> {
+    change(py, &wishes, &listener, |told| library::rename(&path, &scan, &name, &wishes.resources(), told))
+}
+
+/// Says in which CRS a site is; gives what it was in.
+#[pyfunction]
+pub fn set_crs(
+    py: Python<'_>,
+    path: PathBuf,
+    crs: &str,
+    force: bool,
+    wishes: Wishes,
+    listener: Listener,
+) -> PyResult<String> {
+    let crs = parse_crs(crs)?;
+    let resources = wishes.resources();
+    change(py, &wishes, &listener, |told| {
+        let before = library::set_crs(&path, &crs, force, &resources, told)?;
+        Ok(before.map(|crs| crs.describe()))
+    })
 }
 
 /// Makes one layer of all and gives free space back.

@@ -19,6 +19,7 @@ pub struct Output {
     scale: Option<[f64; 3]>,
     frame: String,
     split_by: Option<String>,
+    with_scan: bool,
     overwrite: bool,
 }
 
@@ -28,7 +29,7 @@ impl Output {
             |what: &str, given: &str, words: &str| bad_query(format!("{what} is '{given}'; it must be {words}"));
         let format = |word: &String| {
             let found = OutputFormat::of_extension(word.trim_start_matches('.'));
-            found.ok_or_else(|| one_of("format", word, "las, laz, ply, csv, npy or npz"))
+            found.ok_or_else(|| one_of("format", word, "las, laz, ply, csv, xyz, npy or npz"))
         };
         let split = |word: &String| match word.as_str() {
             "scan" => Ok(SplitBy::Scan),
@@ -44,6 +45,7 @@ impl Output {
                 word => return Err(one_of("frame", word, "world or scan")),
             },
             split: self.split_by.as_ref().map(split).transpose()?,
+            with_scan: self.with_scan,
             force: self.overwrite,
         })
     }

@@ -8,6 +8,7 @@ mod export;
 mod options;
 mod points;
 mod reader;
+mod table;
 mod waiting;
 
 #[global_allocator]
@@ -22,7 +23,9 @@ mod _esker {
     #[pymodule_export]
     use super::batches::Batches;
     #[pymodule_export]
-    use super::changes::{compact, digest, generate, ingest, merge, remove, replace, set_visible};
+    use super::changes::{
+        compact, digest, generate, ingest, ingest_table, merge, remove, rename, replace, set_crs, set_visible,
+    };
     #[pymodule_export]
     use super::export::export;
     #[pymodule_export]

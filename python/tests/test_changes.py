@@ -13,6 +13,26 @@ def scans(tmp_path):
     return esker.generate("site", 30_000, tmp_path / "scans", scans=3)
 
 
+def test_names_and_the_crs_can_be_set(tmp_path, scans):
+    path = tmp_path / "s.esker"
+    esker.ingest(path, scans[:2])
+    with esker.open(path) as store:
+        assert store.rename("site_1", "roof") == "site_1"
+        with pytest.raises(esker.IngestError, match="another scan named 'roof'"):
+            store.rename("site_2", "roof")
+        assert sorted(scan["name"] for scan in store.scans) == ["roof", "site_2"]
+        with pytest.raises(TypeError, match="name must be a string"):
+            store.rename("roof", None)
+        with pytest.raises(esker.IngestError, match="force=True puts it in its place"):
+            store.set_crs("EPSG:25832")
+        before = store.set_crs("EPSG:25832", force=True)
+        assert "32632" in before and store.info["crs"]["horizontal_epsg"] == 25832
+        with pytest.raises(TypeError, match="to_wkt"):
+            store.set_crs(25832)
+        with pytest.raises(TypeError, match="unexpected keyword"):
+            store.set_crs("EPSG:25832", name="x")
+
+
 def test_answers_follow_the_store_and_snapshots_do_not(tmp_path, scans):
     path = tmp_path / "site.esker"
     esker.ingest(path, scans[0])

@@ -271,7 +271,7 @@ def test_messages_name_what_the_package_has(site, tmp_path):
     for change, message in [
         (lambda: store.ingest(tmp_path / "empty"), "recursive=True looks into folders below"),
         (lambda: store.ingest(site.files, quantum=0.5), "quantum, phase and lattice apply"),
-        (lambda: store.ingest(site.files[:1], name=" "), "leave name out"),
+        (lambda: store.ingest(site.files[:1], name=" "), "name can't be empty"),
         (lambda: store.hide("site_9"), "store.scans lists them"),
     ]:
         with pytest.raises(esker.EskerError) as caught:

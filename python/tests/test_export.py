@@ -130,3 +130,15 @@ def test_every_kind_of_query_can_be_exported():
     assert set().union(*(keywords for _, keywords in KINDS)) <= named
     arrays = {"positions", "raw", "masked", "with_scan"}
     assert named == esker._arguments.DEFAULTS.keys() - arrays
+
+
+def test_files_say_the_scan_of_each_point(tmp_path, site):
+    with esker.open(site.path) as store:
+        report = store.export(tmp_path / "s.npy", attributes=["Intensity"], with_scan=True)
+        found = np.load(tmp_path / "s.npy")
+        assert found.dtype.names[-1] == "Scan" and len(found) == report["points"]
+        counts = {scan["id"]: scan["stored"] for scan in store.scans}
+        assert dict(zip(*(part.tolist() for part in np.unique(found["Scan"], return_counts=True)))) == counts
+        store.export(tmp_path / "rows.xyz", attributes=["Intensity"])
+        rows = np.loadtxt(tmp_path / "rows.xyz")
+        assert rows.shape == (report["points"], 4) and rows[:, 3].sum() == found["Intensity"].sum()

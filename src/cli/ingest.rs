@@ -232,7 +232,7 @@ pub(super) fn poses(files: &[PathBuf]) -> anyhow::Result<Vec<Pose>> {
 }
 
 /// EPSG:N, WKT, or what a file has of either.
-fn crs(text: &str) -> Result<Crs, String> {
+pub(super) fn crs(text: &str) -> Result<Crs, String> {
     let content = std::fs::read_to_string(text);
     let crs = Crs::parse(content.as_deref().unwrap_or(text));
     crs.ok_or_else(|| "it is neither EPSG:N (1024 to 32766) nor WKT nor a file that holds WKT".to_owned())

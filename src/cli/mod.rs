@@ -9,6 +9,7 @@ mod generate;
 mod info;
 mod ingest;
 mod interrupt;
+mod labels;
 mod limits;
 mod merge;
 mod nearest;
@@ -77,8 +78,10 @@ enum Command {
     Scans(scans::Arguments),
     Remove(remove::Arguments),
     Replace(replace::Arguments),
+    Rename(labels::Rename),
     Show(visibility::Show),
     Hide(visibility::Hide),
+    SetCrs(labels::SetCrs),
     Compact(compact::Arguments),
     Merge(merge::Arguments),
     Info(info::Arguments),
@@ -105,8 +108,10 @@ pub fn main() -> ExitCode {
         Command::Scans(a) => scans::run(&a),
         Command::Remove(a) => remove::run(&a),
         Command::Replace(a) => replace::run(a),
+        Command::Rename(a) => labels::rename(&a),
         Command::Show(a) => visibility::show(&a),
         Command::Hide(a) => visibility::hide(&a),
+        Command::SetCrs(a) => labels::set_crs(&a),
         Command::Compact(a) => compact::run(&a),
         Command::Merge(a) => merge::run(&a),
         Command::Info(a) => info::run(&a),

@@ -3,7 +3,7 @@
 use super::query::{Format, format};
 use super::which::{Which, tell_why_nothing, with_attributes};
 use super::{Outcome, Usage, output, values};
-use crate::export::plan;
+use crate::export::{Order, plan};
 use crate::formats::{CreateOptions, OutputFormat, create, create_standard_output};
 use crate::points::{Attribute, Column, ScalarType};
 use crate::query::Neighbors;
@@ -51,7 +51,7 @@ pub(super) struct Arguments {
     /// Only these attributes, separated by commas; `none` for positions alone.
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     attributes: Vec<String>,
-    /// Where to: a file ending in .csv, .ply, .npy or .npz, or - for stdout.
+    /// Where to: a file ending in .csv, .xyz, .ply, .npy or .npz, or - for stdout.
     #[arg(short, long, value_name = "FILE", default_value = "-")]
     output: PathBuf,
     /// The form of the output, if its name doesn't say; CSV on stdout.
@@ -72,7 +72,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         given => format(&arguments.output, given)?,
     };
     if matches!(form, OutputFormat::Las | OutputFormat::Laz) {
-        let form = "LAS files have no place for Place and Distance; write .csv, .ply, .npy or .npz";
+        let form = "LAS files have no place for Place and Distance; write .csv, .xyz, .ply, .npy or .npz";
         return Err(Usage(form.into()).into());
     }
     let places = places(arguments)?;
@@ -83,6 +83,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let k = usize::try_from(arguments.k).unwrap_or(usize::MAX);
     let mut planned = plan(&snapshot, &query.output_form(&snapshot)?, form, false, None)?;
     let query = query.with_scans(planned.meeting.needs_scans());
+    let order = Order::of(&query, &snapshot, &planned.plan.attributes, form);
     let (query, watching) = arguments.which.watched(query, false);
     let found = query.nearest(&snapshot, &places, k, arguments.radius)?;
     drop(watching);
@@ -92,6 +93,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let statistics = serde_json::to_value(&found.statistics)?;
     let Neighbors { mut batch, distances, ends, .. } = found;
     planned.meeting.apply(&mut batch);
+    order.apply(&mut batch);
     let mut of_place = Vec::with_capacity(batch.len());
     for (place, &end) in ends.iter().enumerate() {
         of_place.resize(end, place as u64);

@@ -67,7 +67,7 @@ pub(super) struct Arguments {
     /// Only these attributes, separated by commas; `none` for positions alone.
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     attributes: Vec<String>,
-    /// Where to: a file ending in .las, .laz, .ply, .csv, .npy or .npz, or - for stdout.
+    /// Where to: a file ending in .las, .laz, .ply, .csv, .xyz, .npy or .npz, or - for stdout.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The form of the output, if its name doesn't say.
@@ -80,6 +80,9 @@ pub(super) struct Arguments {
     /// (regions and filters are always the world's).
     #[arg(long, value_enum, value_name = "WHICH", default_value_t = Frame::World, requires = "output")]
     frame: Frame,
+    /// A column Scan with the number of each point's scan, which `esker scans` lists (in LAS an extra byte).
+    #[arg(long, requires = "output")]
+    with_scan: bool,
     /// One file per scan, `out_NAME.las` for `out.las`, or per class, `out_class2.las`; at most 1,024 files.
     #[arg(long, value_enum, value_name = "WHAT", requires = "output")]
     split_by: Option<SplitBy>,
@@ -87,7 +90,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     force: bool,
     /// Print the number of points, nothing else.
-    #[arg(long, conflicts_with_all = ["output", "json", "format", "scale", "frame", "split_by", "attributes", "force"])]
+    #[arg(long, conflicts_with_all = ["output", "json", "format", "scale", "frame", "split_by", "with_scan", "attributes", "force"])]
     count: bool,
     /// Say what becomes of the nodes, and why each of the coarsest is taken, tested, refused or cut, instead of giving
     /// points; with --explain=all of every node.
@@ -98,7 +101,7 @@ pub(super) struct Arguments {
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "coarsest",
-        conflicts_with_all = ["output", "count", "format", "scale", "frame", "split_by", "force"]
+        conflicts_with_all = ["output", "count", "format", "scale", "frame", "split_by", "with_scan", "force"]
     )]
     explain: Option<Explain>,
     /// One JSON object on stdout.
@@ -112,6 +115,7 @@ pub(super) enum Format {
     Laz,
     Ply,
     Csv,
+    Xyz,
     Npy,
     Npz,
 }
@@ -170,6 +174,7 @@ impl From<Format> for OutputFormat {
             Format::Laz => Self::Laz,
             Format::Ply => Self::Ply,
             Format::Csv => Self::Csv,
+            Format::Xyz => Self::Xyz,
             Format::Npy => Self::Npy,
             Format::Npz => Self::Npz,
         }
@@ -244,6 +249,7 @@ fn answer(arguments: &Arguments, holders: &mut Option<Holders>) -> anyhow::Resul
                 scale: arguments.scale,
                 frame: arguments.frame.into(),
                 split: arguments.split_by.map(Into::into),
+                with_scan: arguments.with_scan,
                 force: arguments.force,
             };
             let Exported { answer, files, notes } = export::export(&snapshot, &query, target, &options, |_| {})?;
@@ -266,7 +272,7 @@ pub(super) fn format(path: &Path, given: Option<Format>) -> anyhow::Result<Outpu
     Ok(match given {
         Some(format) => format.into(),
         None if path == Path::new("-") => {
-            return Err(Usage("-o - needs --format: las, laz, ply, csv, npy or npz".into()).into());
+            return Err(Usage("-o - needs --format: las, laz, ply, csv, xyz, npy or npz".into()).into());
         }
         None => export::format_of(path)?,
     })

@@ -2,11 +2,10 @@
 
 use super::Outcome;
 use crate::export::{ExportOptions, Target, export};
-use crate::geometry::WorldBox;
 use crate::query::{Query, Region};
 use crate::store::{Snapshot, Store};
 use crate::viewer::remembered::Remembered;
-use crate::viewer::{Options, parse_script};
+use crate::viewer::{Options, Wanted, parse_script};
 use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -45,21 +44,24 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     };
     let name = arguments.store.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let remember = if arguments.forget { None } else { Remembered::place() };
-    let exporter = Arc::new(|snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path| {
-        export_box(snapshot, bounds, scans, path).map_err(|e| super::output::one_line(&e))
+    let exporter = Arc::new(|snapshot: &Snapshot, wanted: &Wanted, path: &Path| {
+        export_box(snapshot, wanted, path).map_err(|e| super::output::one_line(&e))
     });
     crate::viewer::run(Options { started, store, lattice, name, exporter, remember, script })?;
     Ok(Outcome::Done)
 }
 
-/// The points of a box, of these scans, with all their attributes.
-fn export_box(snapshot: &Snapshot, bounds: &WorldBox, scans: &[String], path: &Path) -> anyhow::Result<u64> {
+/// The points of a box that are seen, with all their attributes.
+fn export_box(snapshot: &Snapshot, wanted: &Wanted, path: &Path) -> anyhow::Result<u64> {
     // What a command says of it names an option that a window has not.
     if path.exists() {
         anyhow::bail!("{}: exists already; give another name", path.display());
     }
-    let region = Region::new_box(bounds.min().to_array(), bounds.max().to_array())?;
-    let query = Query::new().region(region).scans(scans.iter().cloned());
+    let region = Region::new_box(wanted.bounds.min().to_array(), wanted.bounds.max().to_array())?;
+    let mut query = Query::new().region(region).scans(wanted.scans.iter().cloned());
+    if let Some(filter) = &wanted.filter {
+        query = query.filter(filter.clone());
+    }
     let done = export(snapshot, &query, Target::File(path), &ExportOptions::default(), |_| {})?;
     Ok(done.answer.points)
 }

@@ -19,7 +19,7 @@ pub enum ExportError {
     Format(#[from] FormatError),
     /// The name of the file does not say its form.
     #[error(
-        "{path}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply, .csv, .npy or .npz, or name a format"
+        "{path}: '{ending}' is no ending that Esker writes; use .las, .laz, .ply, .csv, .xyz, .npy or .npz, or name a format"
     )]
     Ending {
         /// The file.

@@ -5,7 +5,7 @@ use super::{ExportError, Planned};
 use crate::formats::{LasTarget, OutputFormat};
 use crate::geometry::Pose;
 use crate::lattice::{Decimal, Lattice};
-use crate::points::{Batch, Positions};
+use crate::points::{Batch, Column, Positions, normals_in};
 use crate::query::OutputForm;
 use crate::store::Snapshot;
 
@@ -67,7 +67,7 @@ impl ScanFrame {
         Ok(())
     }
 
-    /// Moves the points of a batch to the scan's frame: each coordinate to the nearest step there.
+    /// Moves the points of a batch to the scan's frame, each coordinate to the nearest step there, and turns normals.
     pub fn apply(&self, batch: &mut Batch) -> Result<(), ExportError> {
         let mut moved = Positions::with_capacity(batch.len());
         for point in batch.positions.iter() {
@@ -75,6 +75,26 @@ impl ScanFrame {
             moved.push(self.frame.lattice_from_world(p)?);
         }
         batch.positions = moved;
+        if let Some(places) = normals_in(&batch.attributes).filter(|_| self.pose.turns()) {
+            self.turn(&mut batch.columns, places);
+        }
         Ok(())
+    }
+
+    /// Turns the normals back, which the ingest has turned to the world.
+    fn turn(&self, columns: &mut [Column], places: [usize; 3]) {
+        for i in 0..columns[places[0]].len() {
+            let normal = places.map(|place| columns[place].as_f64(i));
+            if normal.iter().any(|v| v.is_nan()) || normal == [0.0; 3] {
+                continue;
+            }
+            for (place, v) in places.into_iter().zip(self.pose.scan_direction(normal)) {
+                match &mut columns[place] {
+                    Column::F32(values) => values[i] = v as f32,
+                    Column::F64(values) => values[i] = v,
+                    _ => {}
+                }
+            }
+        }
     }
 }

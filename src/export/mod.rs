@@ -5,16 +5,18 @@ mod error;
 mod frame;
 mod joined;
 mod meeting;
+mod order;
 mod plan;
 mod returns;
 mod split;
 
 pub use error::ExportError;
 pub use meeting::Meeting;
+pub(crate) use order::Order;
 pub use plan::{Planned, plan};
 
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
-use crate::points::{Attribute, Batch};
+use crate::points::{Attribute, Batch, Column, ScalarType};
 use crate::query::{Answer, Query};
 use crate::store::Snapshot;
 use frame::ScanFrame;
@@ -34,6 +36,7 @@ pub enum Target<'p> {
 
 /// One file for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SplitBy {
     /// `out_NAME.las` for `out.las`.
     Scan,
@@ -43,6 +46,7 @@ pub enum SplitBy {
 
 /// In which frame coordinates are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Frame {
     /// The world's.
     #[default]
@@ -62,12 +66,15 @@ pub struct ExportOptions {
     pub frame: Frame,
     /// One file for each scan or class.
     pub split: Option<SplitBy>,
+    /// A column `Scan`, the number of each point's scan?
+    pub with_scan: bool,
     /// Replace files that are there?
     pub force: bool,
 }
 
 /// What was written.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Exported {
     /// The answer's report.
     pub answer: Answer,
@@ -79,6 +86,7 @@ pub struct Exported {
 
 /// A file that was written.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct Written {
     /// The file.
     #[serde(serialize_with = "as_shown")]
@@ -98,6 +106,7 @@ fn as_shown<S: serde::Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S
 /// Which part of an answer a file holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum PartOf {
     /// The points of the scan of this name, which its file's name need not spell.
     Scan(String),
@@ -205,7 +214,13 @@ struct Shape {
     attributes: Arc<[Attribute]>,
     planned: Planned,
     frame: Option<ScanFrame>,
+    order: Order,
+    /// Is the scan of each point a column?
+    with_scan: bool,
 }
+
+/// The name of the column of scans.
+const SCAN: &str = "Scan";
 
 /// Begins a file for the answer to a query.
 fn begin(
@@ -217,32 +232,51 @@ fn begin(
 ) -> Result<(Shape, Box<dyn PointWriter>), ExportError> {
     let form = query.output_form(snapshot)?;
     let frame = (options.frame == Frame::Scan).then(|| ScanFrame::of(snapshot, &form)).transpose()?;
-    let mut planned = plan(snapshot, &form, format, query.asks_for_all_attributes(), options.scale)?;
+    // The records of a source have no place for its number.
+    let all_attributes = query.asks_for_all_attributes() && !options.with_scan;
+    let mut planned = plan(snapshot, &form, format, all_attributes, options.scale)?;
     if let Some(frame) = &frame {
         frame.plan(&mut planned, format, options.scale)?;
+    }
+    let order = Order::of(query, snapshot, &planned.plan.attributes, format);
+    planned.plan.attributes = order.attributes(&planned.plan.attributes);
+    if options.with_scan {
+        planned.plan.attributes = with_scan(&planned.plan.attributes);
     }
     let create_options = CreateOptions {
         force: options.force,
         standard_gps_time: planned.standard_gps_time,
+        intensity: planned.intensity,
         ..CreateOptions::default()
     };
     let writer = match target {
         Target::File(path) => create(path, format, &planned.plan, &create_options)?,
         Target::StandardOutput => create_standard_output(format, &planned.plan, &create_options)?,
     };
-    Ok((Shape { attributes: form.attributes, planned, frame }, writer))
+    Ok((Shape { attributes: form.attributes, planned, frame, order, with_scan: options.with_scan }, writer))
+}
+
+/// These, and the scan.
+fn with_scan(attributes: &[Attribute]) -> Arc<[Attribute]> {
+    attributes.iter().cloned().chain([Attribute::new(SCAN, ScalarType::U32)]).collect()
 }
 
 impl Shape {
     /// Must it be known which scan a point is of?
     fn needs_scans(&self) -> bool {
-        self.planned.meeting.needs_scans() || !self.planned.without_returns.is_empty()
+        self.with_scan || self.planned.meeting.needs_scans() || !self.planned.without_returns.is_empty()
     }
 
     /// Makes the points of a batch what the file has.
     fn apply(&self, batch: &mut Batch) -> Result<(), ExportError> {
         self.planned.meeting.apply(batch);
         self.planned.without_returns.apply(batch);
-        self.frame.as_ref().map_or(Ok(()), |frame| frame.apply(batch))
+        self.frame.as_ref().map_or(Ok(()), |frame| frame.apply(batch))?;
+        self.order.apply(batch);
+        if self.with_scan {
+            batch.columns.push(Column::U32(batch.scans.clone()));
+            batch.attributes = with_scan(&batch.attributes);
+        }
+        Ok(())
     }
 }

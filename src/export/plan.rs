@@ -6,10 +6,10 @@ use crate::formats::las::crs_of;
 use crate::formats::{LasTarget, OutputFormat, OutputPlan};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, Decimal, Lattice, LatticeBox, LatticePoint};
-use crate::points::{LasFacts, RawVlr};
+use crate::points::{LasFacts, RawVlr, ScalarType};
 use crate::query::OutputForm;
-use crate::store::Snapshot;
-use crate::store::model::{Scan, Site};
+use crate::store::model::{Scan, Site, StoredAttribute};
+use crate::store::{Snapshot, scaled_ends};
 use std::collections::HashSet;
 
 /// The plan, and what to do with attributes of two kinds.
@@ -22,6 +22,8 @@ pub struct Planned {
     pub without_returns: WithoutReturns,
     /// Are all GPS times adjusted standard ones?
     pub standard_gps_time: bool,
+    /// The least and the greatest intensity in the store, where that is no `u16`.
+    pub intensity: Option<[f64; 2]>,
     /// What a user should know.
     pub notes: Vec<String>,
 }
@@ -112,8 +114,17 @@ pub fn plan<'s>(
         meeting,
         without_returns,
         standard_gps_time: standard > 0 && standard == timed.len(),
+        intensity: intensity(snapshot, format),
         notes,
     })
+}
+
+/// The ends of all intensities of the store: not of the answer, so that all files of a site are alike.
+fn intensity(snapshot: &Snapshot, format: OutputFormat) -> Option<[f64; 2]> {
+    let is_other = |a: &&StoredAttribute| a.attribute.name == "Intensity" && a.attribute.ty != ScalarType::U16;
+    let others = snapshot.attributes().iter().filter(is_other).filter(|_| is_las(format));
+    let ends = others.filter_map(|a| scaled_ends(snapshot, a.id));
+    ends.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
 /// Do the records of the scan's own file name the site's CRS? They don't where another was given at ingest.

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// Formats that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum InputFormat {
     /// LAS, LAZ and COPC.
     Las,
@@ -87,7 +88,7 @@ impl InputFormat {
             Self::Pcd => "a PCD header (`# .PCD` or `VERSION`)",
             Self::Ptx => "two counts, four lines of three numbers and four of four",
             Self::Pts => "a count, or rows of numbers",
-            Self::Text => "rows of numbers, or a line that names x, y and z",
+            Self::Text => "rows of numbers, or a line that names x, y and z (--columns names them otherwise)",
         }
     }
 }

@@ -101,7 +101,7 @@ impl FormatError {
     }
 
     /// [`FormatError::Unsupported`]; `remedy` is empty or says what to do.
-    pub(super) fn unsupported(path: &Path, what: impl Into<String>, remedy: &str) -> Self {
+    pub(crate) fn unsupported(path: &Path, what: impl Into<String>, remedy: &str) -> Self {
         let remedy = if remedy.is_empty() { String::new() } else { format!("; {remedy}") };
         Self::Unsupported { path: path.to_owned(), what: what.into(), remedy }
     }

@@ -16,13 +16,17 @@ mod ply;
 mod pose_file;
 mod posed;
 mod read;
+mod table;
 mod text;
 mod write;
 
 pub use detect::{InputFormat, Inputs, ReadOptions, list_inputs, open, open_all, parse_columns};
 pub use error::FormatError;
 pub use pose_file::read_poses;
+pub(crate) use posed::place;
 pub use read::{Piece, PointSource, SourceInfo, Tally};
+pub(crate) use table::TableSource;
+pub use table::{PointTable, TableError};
 pub use write::{
     CreateOptions, CreationDate, LasTarget, OutputFile, OutputFormat, OutputPlan, Packed, Packer, PointWriter, Raster,
     RasterFormat, check_output, create, create_standard_output, is_database, remove_unfinished, write_raster,

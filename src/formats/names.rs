@@ -21,7 +21,7 @@ pub(super) fn attribute_name(name: &str, ty: ScalarType) -> String {
         return name;
     }
     let normals = [("nx", "NormalX"), ("ny", "NormalY"), ("nz", "NormalZ")];
-    if let Some((_, canonical)) = normals.iter().find(|(short, _)| *short == name) {
+    if let Some((_, canonical)) = normals.iter().find(|(short, _)| name.eq_ignore_ascii_case(short)) {
         return (*canonical).to_owned();
     }
     // Not by synonyms: `time` or `class` may mean anything. And colours of other types are no LAS colours.

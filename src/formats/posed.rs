@@ -1,15 +1,15 @@
-//! A source whose points are moved to the world by a pose, in f64.
+//! A source whose points are moved to the world by a pose, in f64, and whose normals are turned by it.
 
 use super::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::geometry::{Pose, PoseError};
-use crate::points::{PositionKind, RecordLayout};
+use crate::points::{PositionKind, RecordLayout, ScalarType, has_other_normals, normals_in};
 
 /// `source`, whose own pose its info names but its positions do not have yet, placed by it and then by `given`.
 ///
 /// # Errors
 ///
 /// [`PoseError`] if the two poses together leave the range of f64.
-pub(super) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dyn PointSource>, PoseError> {
+pub(crate) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dyn PointSource>, PoseError> {
     let mut info = source.info().clone();
     let pose = given.after(&info.pose)?;
     if pose.is_identity() {
@@ -23,7 +23,13 @@ pub(super) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dy
     let hint = |(min, max): ([f64; 3], [f64; 3])| pose.world_bounds(min, max);
     info.bounds_hint = info.bounds_hint.map(hint).filter(|(a, b)| a.iter().chain(b).all(|v| v.is_finite()));
     info.layout = RecordLayout { position: PositionKind::World, ..info.layout };
-    Ok(Box::new(Posed { source, info, grid }))
+    let turns = pose.turns();
+    if turns && has_other_normals(&info.layout.attributes) {
+        let kept = "its normals are not three floats of one type: they stay in the scan's own frame";
+        info.warnings.push(kept.into());
+    }
+    let normals = turns.then(|| Normals::of(&info.layout)).flatten();
+    Ok(Box::new(Posed { source, info, grid, normals }))
 }
 
 struct Posed {
@@ -31,6 +37,44 @@ struct Posed {
     info: SourceInfo,
     /// Scale and offset of the source's own grid, if it has one.
     grid: Option<([f64; 3], [f64; 3])>,
+    normals: Option<Normals>,
+}
+
+/// Where a record's normal is, behind its position.
+struct Normals {
+    offsets: [usize; 3],
+    ty: ScalarType,
+}
+
+impl Normals {
+    fn of(layout: &RecordLayout) -> Option<Self> {
+        let places = normals_in(&layout.attributes)?;
+        let offsets = places.map(|i| layout.fields[i].offset);
+        Some(Self { offsets, ty: layout.attributes[places[0]].ty })
+    }
+
+    /// Turns the normal in the bytes behind a position; one that is zero or NaN has no direction and stays as it is.
+    fn turn(&self, pose: &Pose, payload: &mut [u8]) {
+        let normal = self.offsets.map(|at| match self.ty {
+            ScalarType::F32 => f64::from(f32::from_le_bytes(bytes(payload, at))),
+            _ => f64::from_le_bytes(bytes(payload, at)),
+        });
+        if normal.iter().any(|v| v.is_nan()) || normal == [0.0; 3] {
+            return;
+        }
+        for (at, v) in self.offsets.into_iter().zip(pose.world_direction(normal)) {
+            match self.ty {
+                ScalarType::F32 => payload[at..at + 4].copy_from_slice(&(v as f32).to_le_bytes()),
+                _ => payload[at..at + 8].copy_from_slice(&v.to_le_bytes()),
+            }
+        }
+    }
+}
+
+fn bytes<const N: usize>(payload: &[u8], at: usize) -> [u8; N] {
+    let mut bytes = [0; N];
+    bytes.copy_from_slice(&payload[at..at + N]);
+    bytes
 }
 
 impl Posed {
@@ -77,7 +121,11 @@ impl PointSource for Posed {
             for record in run.chunks_exact(head + payload) {
                 let world = self.info.pose.world_from_scan(self.position(record));
                 world.iter().for_each(|v| placed.extend_from_slice(&v.to_le_bytes()));
+                let at = placed.len();
                 placed.extend_from_slice(&record[head..]);
+                if let Some(normals) = &self.normals {
+                    normals.turn(&self.info.pose, &mut placed[at..]);
+                }
             }
             sink(&placed)
         })

@@ -29,6 +29,8 @@ pub struct SourceInfo {
     pub grid: Option<SourceGrid>,
     /// Without a grid: the step that a store should have for these coordinates, if the source can tell.
     pub step: Option<Decimal>,
+    /// Are coordinates floats of 32 bits? At 5,000,000 these are half a metre apart.
+    pub is_single: bool,
     /// Bounds as the header gives them: a hint that may lie; `None` where there is none or it is not finite.
     pub bounds_hint: Option<([f64; 3], [f64; 3])>,
     /// How records are laid out.
@@ -55,6 +57,7 @@ impl SourceInfo {
             missing,
             grid: None,
             step: None,
+            is_single: false,
             bounds_hint: None,
             layout,
             crs: None,

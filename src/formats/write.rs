@@ -17,7 +17,7 @@ pub use raster::{Raster, RasterFormat, write_raster};
 use super::FormatError;
 use crate::lattice::Lattice;
 use crate::points::{Attribute, Batch, Crs, LasFacts};
-use csv::{CsvSink, CsvWriter};
+use csv::{CsvSink, CsvWriter, Lines};
 use destination::Destination;
 use las::{LasOptions, LasWriter, Records};
 use numpy::{NpyWriter, NpzWriter};
@@ -29,11 +29,13 @@ use std::sync::Arc;
 /// The form of an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
+#[non_exhaustive]
 pub enum OutputFormat {
     Las,
     Laz,
     Ply,
     Csv,
+    Xyz,
     Npy,
     Npz,
 }
@@ -46,6 +48,7 @@ impl OutputFormat {
             "laz" => Some(Self::Laz),
             "ply" => Some(Self::Ply),
             "csv" => Some(Self::Csv),
+            "xyz" | "txt" => Some(Self::Xyz),
             "npy" => Some(Self::Npy),
             "npz" => Some(Self::Npz),
             _ => None,
@@ -92,6 +95,9 @@ pub struct CreateOptions {
     /// Are the GPS times of a merged LAS file adjusted standard ones, not seconds of a week? For
     /// [`LasTarget::AsSource`] the source says.
     pub standard_gps_time: bool,
+    /// The least and the greatest value of an attribute `Intensity` that a merged LAS file's own field, a `u16`, can't hold:
+    /// the field has it brought to 16 bits, where these are known.
+    pub intensity: Option<[f64; 2]>,
     /// The date in a LAS header; today, if `None`. For files that must be the same whenever they are made.
     pub creation_date: Option<CreationDate>,
 }
@@ -102,6 +108,7 @@ impl CreateOptions {
             compressed: format == OutputFormat::Laz,
             date: self.creation_date.unwrap_or_else(CreationDate::today),
             standard_time: self.standard_gps_time,
+            intensity: self.intensity,
             points: self.points,
         }
     }
@@ -121,13 +128,13 @@ pub fn create(
     options: &CreateOptions,
 ) -> Result<Box<dyn PointWriter>, FormatError> {
     let (destination, file) = Destination::file(path, options.force)?;
-    if format == OutputFormat::Csv {
-        return Ok(checked(path, plan, CsvWriter::create(CsvSink::File(file, destination), plan)?));
+    if let Some(lines) = lines(format) {
+        return Ok(checked(path, plan, CsvWriter::create(CsvSink::File(file, destination), plan, lines)?));
     }
     create_counted(path, destination, file, format, plan, options)
 }
 
-/// As [`create`], to the standard output. CSV goes there as it comes; the other forms have counts at their front, so they
+/// As [`create`], to the standard output. Text goes there as it comes; the other forms have counts at their front, so they
 /// are written to a temporary file first, in the system's folder for such.
 ///
 /// # Errors
@@ -139,11 +146,20 @@ pub fn create_standard_output(
     options: &CreateOptions,
 ) -> Result<Box<dyn PointWriter>, FormatError> {
     let shown = Path::new(STANDARD_OUTPUT);
-    if format == OutputFormat::Csv {
-        return Ok(checked(shown, plan, CsvWriter::create(CsvSink::Standard(std::io::stdout()), plan)?));
+    if let Some(lines) = lines(format) {
+        return Ok(checked(shown, plan, CsvWriter::create(CsvSink::Standard(std::io::stdout()), plan, lines)?));
     }
     let (destination, file) = Destination::standard_output()?;
     create_counted(shown, destination, file, format, plan, options)
+}
+
+/// How the lines of a form of text are made; `None` for others.
+fn lines(format: OutputFormat) -> Option<Lines> {
+    match format {
+        OutputFormat::Csv => Some(Lines::Csv),
+        OutputFormat::Xyz => Some(Lines::Xyz),
+        _ => None,
+    }
 }
 
 /// What messages call the standard output.

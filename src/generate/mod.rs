@@ -43,6 +43,7 @@ const WKT: &str = concat!(
 
 /// What is generated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Kind {
     /// A torus.
     Torus,
@@ -233,6 +234,7 @@ impl Output<'_> {
             force: self.options.force,
             points: Some(points),
             standard_gps_time: true,
+            intensity: None,
             // The day of the first pulse: files of a seed are the same whenever they are made.
             creation_date: Some(CreationDate { day_of_year: 75, year: 2021 }),
         };

@@ -40,6 +40,11 @@ impl ImageArea {
         let fine = |i: usize| min[i] >= 0.0 && max[i] <= 1.0 && max[i] - min[i] >= 0.1;
         if fine(0) && fine(1) { Self { min, max } } else { Self::WHOLE }
     }
+
+    /// Its middle: shares of the image's width and height, from the left and from above.
+    pub fn center(&self) -> [f64; 2] {
+        std::array::from_fn(|i| (self.min[i] + self.max[i]) / 2.0)
+    }
 }
 
 /// How an image sees, wherever its eye is.

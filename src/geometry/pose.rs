@@ -149,6 +149,32 @@ impl Pose {
         self.inverse.map(|row| dot(row, p))
     }
 
+    /// A direction of the scan's frame in the world: turned, of the same length.
+    #[inline]
+    pub fn world_direction(&self, v: [f64; 3]) -> [f64; 3] {
+        let scale = self.scale();
+        self.linear.map(|row| dot(row, v) / scale)
+    }
+
+    /// A direction of the world in the scan's frame: turned back, of the same length.
+    #[inline]
+    pub fn scan_direction(&self, v: [f64; 3]) -> [f64; 3] {
+        let scale = self.scale();
+        self.inverse.map(|row| dot(row, v) * scale)
+    }
+
+    /// Does it turn directions?
+    pub fn turns(&self) -> bool {
+        self.linear != UNIT
+    }
+
+    /// The factor by which it enlarges, as long as it is one. Rotations are rounded, so what is nearly 1 is 1.
+    fn scale(&self) -> f64 {
+        let [a, b, c] = self.linear;
+        let scale = dot(a, cross(b, c)).abs().cbrt();
+        if (scale - 1.0).abs() < 1e-9 { 1.0 } else { scale }
+    }
+
     /// The map that does `first`, then this.
     ///
     /// # Errors

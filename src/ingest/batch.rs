@@ -103,8 +103,12 @@ pub(super) fn add(
     context.progress.stage(Stage::Commit, new_points);
     let scans_removed = batch.replaced.to_vec();
     let flip = Flip { crs: batch.crs.clone(), scans_removed, ..joined(&site, edits) };
-    let told: Vec<_> =
-        sources.iter().zip(&read.tallies).zip(&scans).map(|((s, tally), scan)| scan_report(s, tally, scan)).collect();
+    let told: Vec<_> = sources
+        .iter()
+        .zip(&read.tallies)
+        .zip(&scans)
+        .map(|((s, tally), scan)| scan_report(s, tally, scan, &site.lattice))
+        .collect();
     let flip = Flip { scans_added: scans, ..flip };
     stages.time(Stage::Commit, new_points, || context.unless_cancelled(|stop| writer.commit_unless(flip, stop)))?;
     // Not before: a report without scans says that nothing was committed.
@@ -217,7 +221,10 @@ fn scan_rows(
             id: writer.reserve_scan(),
             name: source.name.clone(),
             // Wherever `replace` is run, it means this file.
-            source: std::path::absolute(&info.path).unwrap_or_else(|_| info.path.clone()).display().to_string(),
+            source: match info.format {
+                "table" => String::new(),
+                _ => std::path::absolute(&info.path).unwrap_or_else(|_| info.path.clone()).display().to_string(),
+            },
             source_bytes: source.bytes,
             identity: source.identity(content),
             time: now,
@@ -270,9 +277,27 @@ fn color_depth(attributes: &[Attribute], bits: u16, is_8_bit: bool) -> Option<u8
     }
 }
 
-fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan) -> ScanReport {
+/// Says so where a source's floats of 32 bits are far coarser than the lattice: they were rounded by whoever wrote them.
+fn coarse_floats(source: &Source, scan: &Scan, lattice: &Lattice) -> Option<String> {
+    let info = source.reader.info();
+    // In a scan's own frame coordinates are small, or are not known here.
+    let bounds = scan.bounds.filter(|_| info.is_single && info.pose.is_identity())?;
+    let (min, max) = (lattice.world_from_lattice(bounds.min), lattice.world_from_lattice(bounds.max));
+    let farthest = min.iter().chain(&max).fold(0.0_f64, |a, v| a.max(v.abs())) as f32;
+    let step = f64::from(farthest.next_up()) - f64::from(farthest);
+    (step > 8.0 * lattice.largest_quantum()).then(|| {
+        let step = format!("{step:.1e}").parse::<f64>().unwrap_or(step);
+        format!(
+            "its coordinates are 32-bit floats, up to {step} apart here: digits were lost before; write doubles, or points about a \
+             local origin"
+        )
+    })
+}
+
+fn scan_report(source: &Source, tally: &ScanTally, scan: &Scan, lattice: &Lattice) -> ScanReport {
     let mut warnings = source.warnings.clone();
     warnings.extend(source.reader.found_while_reading());
+    warnings.extend(coarse_floats(source, scan, lattice));
     // What was missing at once has its warning.
     let lost = tally.rejected.truncated.saturating_sub(source.reader.info().missing);
     if lost > 0 {

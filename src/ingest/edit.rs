@@ -8,7 +8,7 @@ use super::layers::{digest_of_all, fold_all, joined, scan_table, taken_layers, w
 use super::measure::measure;
 use super::progress::{Progress, Stage};
 use super::report::{NamedScan, Report, Skipped, Stages};
-use super::run::{fold_at_last, opened};
+use super::run::{fold_at_last, opened, refuse_another_lattice};
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
@@ -20,6 +20,7 @@ use std::time::Instant;
 
 /// What [`remove`] did.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Removed {
     /// The scans that are gone.
     pub scans: Vec<NamedScan>,
@@ -37,6 +38,7 @@ pub struct Removed {
 
 /// What [`compact`] did.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Compacted {
     /// Layers before; one is left.
     pub layers: usize,
@@ -52,7 +54,8 @@ pub struct Compacted {
 ///
 /// # Errors
 ///
-/// [`IngestError::NoScan`] if one of them is not there; in every case of an error nothing is removed.
+/// [`IngestError::NoScan`] if one of them is not there; in every case of an error nothing is removed. Without a name nothing
+/// is done.
 pub fn remove(
     path: &Path,
     scans: &[String],
@@ -65,6 +68,9 @@ pub fn remove(
         let bytes_before = file_bytes(path);
         let snapshot = store.snapshot()?;
         let doomed = find_all(snapshot.scans(), scans)?;
+        if doomed.is_empty() {
+            return Ok(Removed { bytes_before, bytes_after: bytes_before, ..Removed::default() });
+        }
         let gone: Vec<&Scan> = snapshot.scans().iter().filter(|s| doomed.contains(&s.id)).collect();
         let mut removed = Removed {
             scans: gone.iter().map(|s| NamedScan::new(s)).collect(),
@@ -94,7 +100,9 @@ pub fn remove(
 }
 
 /// Puts the scans of one input in the place of a scan, in one commit. The new scan has the old one's name, unless the
-/// options give one. `input`: the old scan's source, read again, if none is given.
+/// options give one. Of an input that has a scan of the old one's name among others, that one is taken. `input`: the old
+/// scan's source, read again, if none is given. Nothing is left out of it, whatever
+/// `keep_going` says.
 ///
 /// # Errors
 ///
@@ -117,16 +125,23 @@ pub fn replace(
         let replaced = find_all(snapshot.scans(), &[scan.to_owned()])?;
         let (old, others): (Vec<Scan>, Vec<Scan>) =
             snapshot.scans().iter().cloned().partition(|s| replaced.contains(&s.id));
+        refuse_another_lattice(options, &snapshot.site().lattice)?;
         let site_crs = snapshot.site().crs.clone();
         drop(snapshot);
         let opened = match (input, old.first()) {
-            (Some(input), _) => sources::open(&[input.to_owned()], options, &others, progress)?,
+            (Some(input), _) => {
+                sources::open(&sources::Inputs::Files(&[input.to_owned()]), options, &others, progress)?
+            }
             (None, Some(old)) => {
                 let again = sources::open_again(old, options, progress)?;
                 sources::Sources { sources: vec![again], ..sources::Sources::default() }
             }
             (None, None) => return Err(IngestError::Internal("a scan without a row".into())),
         };
+        let mut opened = opened;
+        if let Some(old) = old.first() {
+            opened.keep_the_one_named(&old.name);
+        }
         let mut sources = opened.sources;
         if let ([source], Some(old), None) = (&mut sources[..], old.first(), &options.name) {
             source.name = old.name.clone();
@@ -134,6 +149,9 @@ pub fn replace(
         if let (true, Some(skipped)) = (sources.is_empty(), opened.skipped.first()) {
             let Skipped { path: input, reason, .. } = skipped.clone();
             return Err(IngestError::NotReplaced { scan: scan.to_owned(), input, reason });
+        }
+        if let Some(taken) = sources.iter().find(|s| others.iter().any(|other| other.name == s.name)) {
+            return Err(IngestError::NameTaken(taken.name.clone()));
         }
         let mut report = Report { skipped: opened.skipped, ..Report::default() };
         let (crs, notes) = sources::agree_on_crs(site_crs, &sources, options.ignore_crs)?;
@@ -287,7 +305,7 @@ fn find_all(scans: &[Scan], wanted: &[String]) -> Result<Vec<ScanId>, IngestErro
     Ok(found)
 }
 
-fn find(scans: &[Scan], wanted: &str) -> Result<ScanId, IngestError> {
+pub(super) fn find(scans: &[Scan], wanted: &str) -> Result<ScanId, IngestError> {
     // A name goes before a number: a scan may be called '7'.
     let named = scans.iter().find(|s| s.name == wanted);
     let numbered = || wanted.parse::<ScanId>().ok().and_then(|id| scans.iter().find(|s| s.id == id));

@@ -29,10 +29,10 @@ pub enum IngestError {
     #[error("--name names one scan; give one input of one scan with it")]
     NameOfMany,
     /// A name without a character.
-    #[error("a scan's name can't be empty; leave --name out for the file's name")]
+    #[error("a scan's name can't be empty")]
     NoName,
     /// A scan of this name is there.
-    #[error("the store has a scan named '{0}' from another source; give another --name")]
+    #[error("the store has another scan named '{0}'; give another name")]
     NameTaken(String),
     /// Not one pose per file.
     #[error("{poses} poses are given for {files} files; give one for each file, in their order")]
@@ -50,6 +50,9 @@ pub enum IngestError {
         /// The scan.
         name: String,
     },
+    /// A scan that is to be read again was no file.
+    #[error("'{0}' was made of a program's points, which can't be read again; name a file")]
+    NoFile(String),
     /// A source that is to be read again is known by a path from a folder that nobody knows.
     #[error("'{name}' came from {path}, and the store does not say in which folder that is; name the file")]
     Relative {
@@ -67,6 +70,17 @@ pub enum IngestError {
         scan: String,
         /// The stored scan.
         name: String,
+    },
+    /// Nothing was ever stored.
+    #[error("{0}: an ingest was cut off before anything was stored; give it again, with --crs")]
+    Unfinished(PathBuf),
+    /// The site is in another CRS.
+    #[error("the site's CRS is {has}, not {asked}; --force puts it in its place, and no coordinate changes")]
+    HasCrs {
+        /// What it has.
+        has: String,
+        /// What was to be set.
+        asked: String,
     },
     /// There is no such scan.
     #[error("the store has no scan '{wanted}'{nearest}; `esker scans` lists them")]

@@ -21,6 +21,7 @@ use std::time::Instant;
 
 /// What [`merge`] did.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Merged {
     /// The scans in the new store.
     pub scans: Vec<NamedScan>,
@@ -36,6 +37,7 @@ pub struct Merged {
 
 /// A scan that was passed over.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct SkippedScan {
     /// The store that has it, as given.
     pub path: String,

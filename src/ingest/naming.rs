@@ -12,6 +12,10 @@ const LONGEST: usize = 200;
 pub(super) fn unique_name(path: &Path, own: Option<&str>, number: Option<u32>, taken: &mut HashSet<String>) -> String {
     let stem = stem(path);
     let own = own.map(clean).filter(|n| !n.is_empty());
+    // Points that a program had in memory are no file: what they are called is all that there is.
+    if let Some(own) = own.as_deref().filter(|own| path == Path::new(own)) {
+        return numbered_name(own, taken);
+    }
     let (base, longer) = match (own, number) {
         (Some(own), _) => {
             let longer = format!("{stem}/{own}");
@@ -25,6 +29,12 @@ pub(super) fn unique_name(path: &Path, own: Option<&str>, number: Option<u32>, t
         }
     };
     numbered_name(&longer.filter(|_| taken.contains(&base)).unwrap_or(base), taken)
+}
+
+/// Is `name` what a scan that its file, at `path`, calls `own` is called in a store, but for numbers?
+pub(super) fn is_name_of(path: &Path, own: &str, name: &str) -> bool {
+    let own = clean(own);
+    name == own || name == format!("{}/{own}", stem(path))
 }
 
 /// `base`, with a number if it is in `taken` already; `taken` gets it.

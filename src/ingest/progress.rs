@@ -2,6 +2,7 @@
 
 /// A stretch of the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Stage {
     /// Finding the extent of sources that do not say it.
     Measure,

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 /// What an ingest did.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Report {
     /// The scans that were added.
     pub scans: Vec<ScanReport>,
@@ -36,6 +37,7 @@ pub struct Report {
 
 /// What became of one source.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct ScanReport {
     /// The scan's name in the store.
     pub name: String,
@@ -63,6 +65,7 @@ pub struct ScanReport {
 
 /// A scan that was taken out, or that was brought along.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
 pub struct NamedScan {
     /// Its name in the store.
     pub name: String,
@@ -78,6 +81,7 @@ impl NamedScan {
 
 /// An input that was passed over.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Skipped {
     /// The file.
     pub path: String,
@@ -121,6 +125,7 @@ impl Stages {
 
 /// Wall time of a stage.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StageReport {
     /// `measuring`, `reading`, `building`, `commit`.
     pub stage: &'static str,

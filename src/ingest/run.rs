@@ -12,10 +12,12 @@ use super::report::{Report, Skipped, Stages};
 use super::rows::RowKey;
 use super::sources::{self, Source};
 use super::{IngestError, IngestOptions};
+use crate::formats::PointTable;
 use crate::lattice::{Decimal, Lattice};
 use crate::points::Crs;
 use crate::store::{SiteOptions, Store, StoreError, Writer, check_folder};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Puts `inputs` into the store at `path`, which is created if it is not there.
@@ -45,10 +47,51 @@ pub fn ingest(
     progress: &dyn Progress,
 ) -> Result<Report, IngestError> {
     let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
-    Context::run(path, &resources, progress, |context| run(context, inputs, options))
+    Context::run(path, &resources, progress, |context| run(context, &sources::Inputs::Files(inputs), options))
 }
 
-fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Result<Report, IngestError> {
+/// Puts points that a program has made into a store, as a scan of the table's name, creating the store if it is not there. The
+/// same points again are skipped, like a file that is there already. `options`: `name`, `columns`, `recursive` and `keep_going` say
+/// nothing of a table; of `poses` there may be one.
+///
+/// ```
+/// use esker::formats::PointTable;
+/// use esker::ingest::{IngestOptions, LatticeWish, ingest_table};
+/// use esker::points::Column;
+/// use esker::query::{Filter, Query};
+/// use esker::store::Store;
+///
+/// # let folder = std::env::temp_dir().join(format!("esker-table-{}", std::process::id()));
+/// # std::fs::create_dir_all(&folder)?;
+/// let path = folder.join("made.esker");
+/// let mut table = PointTable::new("made", vec![1.0, 2.0, 3.0], vec![0.0; 3], vec![5.25; 3])?;
+/// table.add("Classification", Column::U8(vec![2, 6, 2]))?;
+/// let lattice = LatticeWish { quantum: Some([0.001; 3]), phase: None };
+/// let report = ingest_table(&path, table, &IngestOptions { lattice, ..IngestOptions::default() }, &())?;
+/// assert_eq!((report.scans[0].name.as_str(), report.points), ("made", 3));
+///
+/// let ground = Query::new().filter(Filter::parse("Classification = 2")?);
+/// assert_eq!(ground.count(&Store::open(&path)?.snapshot()?)?.points, 2);
+/// # std::fs::remove_dir_all(&folder)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+///
+/// As [`ingest`].
+pub fn ingest_table(
+    path: &Path,
+    table: PointTable,
+    options: &IngestOptions,
+    progress: &dyn Progress,
+) -> Result<Report, IngestError> {
+    let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
+    let options = &IngestOptions { name: None, columns: None, keep_going: false, ..options.clone() };
+    let inputs = sources::Inputs::Table(Arc::new(table));
+    Context::run(path, &resources, progress, |context| run(context, &inputs, options))
+}
+
+fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOptions) -> Result<Report, IngestError> {
     let started = Instant::now();
     let mut stages = Stages::default();
     // A store that is there is locked first: what is looked at then stays true.
@@ -72,7 +115,14 @@ fn run(context: &Context<'_>, inputs: &[PathBuf], options: &IngestOptions) -> Re
     };
     let opened = sources::open(inputs, options, &stored, context.progress)?;
     let mut report = Report { skipped: opened.skipped.clone(), ..Report::default() };
-    let (crs, notes) = sources::agree_on_crs(site_crs, &opened.sources, options.ignore_crs)?;
+    let had_none = site_crs.as_ref().is_none_or(Crs::is_empty);
+    let (crs, mut notes) = sources::agree_on_crs(site_crs, &opened.sources, options.ignore_crs)?;
+    if let (true, false, Some(crs)) = (had_none, stored.is_empty(), &crs) {
+        notes.push(format!(
+            "the site had no CRS; it is {} now, which is taken for that of the scans that it has, too",
+            crs.describe()
+        ));
+    }
     let mut rest = Rest::measured(context, opened, options.keep_going, &mut stages)?;
     if rest.sources.is_empty() {
         // What is skipped is in the store if there was one.
@@ -277,7 +327,7 @@ fn first_batch(sources: &[Source], memory: u64) -> usize {
     sources.iter().take_while(fits).count().max(1)
 }
 
-fn refuse_another_lattice(options: &IngestOptions, stored: &Lattice) -> Result<(), IngestError> {
+pub(super) fn refuse_another_lattice(options: &IngestOptions, stored: &Lattice) -> Result<(), IngestError> {
     let wish = &options.lattice;
     let same = wish.quantum.is_none_or(|q| q == stored.quantum_f64())
         && wish.phase.is_none_or(|p| p == stored.phase().map(Decimal::to_f64));

@@ -1,16 +1,17 @@
 //! The inputs of one command: opened, recognised, named, and compared with what the store has.
 
 use super::identity::{content_hash, scan_identity};
-use super::naming::unique_name;
+use super::naming::{is_name_of, unique_name};
 use super::progress::Progress;
 use super::report::Skipped;
 use super::{IngestError, IngestOptions};
-use crate::formats::{self, PointSource, ReadOptions};
+use crate::formats::{self, PointSource, PointTable, ReadOptions, TableSource};
 use crate::geometry::Pose;
 use crate::points::{Crs, counted};
 use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// More points than this are announced by no file but a damaged one; counts of a scan have to fit an `i64`.
 const MOST_POINTS: u64 = 1 << 60;
@@ -69,13 +70,68 @@ pub(super) struct Sources {
     pub unreadable: Vec<(PathBuf, IngestError)>,
 }
 
+impl Sources {
+    /// Of a file of several scans of which one is called `name`, keeps that one; says so of the others.
+    pub fn keep_the_one_named(&mut self, name: &str) {
+        let is_it = |s: &Source| {
+            let info = s.reader.info();
+            info.scan_name.as_deref().is_some_and(|own| is_name_of(&info.path, own, name))
+        };
+        if self.sources.len() < 2 || self.sources.iter().filter(|s| is_it(s)).count() != 1 {
+            return;
+        }
+        let (kept, others): (Vec<_>, Vec<_>) = std::mem::take(&mut self.sources).into_iter().partition(is_it);
+        self.sources = kept;
+        let reason = format!("not the scan that takes the place of '{name}'");
+        let skip = |s: &Source| Skipped { path: s.label(), reason: reason.clone(), rejected: 0 };
+        self.skipped.extend(others.iter().map(skip));
+    }
+}
+
+/// What is to be ingested.
+pub(super) enum Inputs<'a> {
+    /// Files and folders.
+    Files(&'a [PathBuf]),
+    /// Points in memory.
+    Table(Arc<PointTable>),
+}
+
+/// The sources of some inputs, before they are compared with what is there.
+type Opened = (Vec<Source>, Vec<Skipped>, Vec<(PathBuf, IngestError)>);
+
+/// A table as the one source.
+fn open_table(table: Arc<PointTable>, options: &IngestOptions, progress: &dyn Progress) -> Result<Opened, IngestError> {
+    let source = TableSource::new(table);
+    let content = source.content(&|| !progress.cancelled()).ok_or(IngestError::Interrupted)?;
+    let bytes = source.bytes();
+    let pose = match options.poses[..] {
+        [] => Pose::IDENTITY,
+        [pose] => pose,
+        ref several => return Err(IngestError::Poses { poses: several.len(), files: 1 }),
+    };
+    let path = source.info().path.clone();
+    let reader = formats::place(Box::new(source), &pose)
+        .map_err(|e| formats::FormatError::unsupported(&path, format!("the pose that is given ({e})"), ""))?;
+    let crs = options.crs.clone().filter(|c| !c.is_empty());
+    let (name, number, content) = (String::new(), None, Some(content));
+    Ok((vec![Source { reader, name, number, bytes, content, crs, warnings: Vec::new() }], Vec::new(), Vec::new()))
+}
+
 /// Opens all inputs. Those that the store has already, or that are given twice, are skipped with a word.
 pub(super) fn open(
-    inputs: &[PathBuf],
+    inputs: &Inputs<'_>,
     options: &IngestOptions,
     stored: &[Scan],
     progress: &dyn Progress,
 ) -> Result<Sources, IngestError> {
+    let opened = match inputs {
+        Inputs::Files(paths) => open_files(paths, options)?,
+        Inputs::Table(table) => open_table(table.clone(), options, progress)?,
+    };
+    compare(opened, options, stored, progress)
+}
+
+fn open_files(inputs: &[PathBuf], options: &IngestOptions) -> Result<Opened, IngestError> {
     if options.name.as_ref().is_some_and(|name| name.trim().is_empty()) {
         return Err(IngestError::NoName);
     }
@@ -84,7 +140,7 @@ pub(super) fn open(
     // If nothing is there, the first is an error as without the option.
     let (there, missing) = if there.is_empty() { (inputs.to_vec(), Vec::new()) } else { (there, missing) };
     let listed = formats::list_inputs(&there, options.recursive)?;
-    let mut skipped: Vec<_> = listed
+    let skipped: Vec<_> = listed
         .skipped
         .iter()
         .map(|path| Skipped { path: path.display().to_string(), reason: "not a point file".into(), rejected: 0 })
@@ -107,7 +163,16 @@ pub(super) fn open(
             Err(error) => return Err(error),
         }
     }
+    Ok((opened, skipped, unreadable))
+}
 
+/// Leaves out what the store has already, or what is given twice, and names the rest.
+fn compare(
+    (opened, mut skipped, mut unreadable): Opened,
+    options: &IngestOptions,
+    stored: &[Scan],
+    progress: &dyn Progress,
+) -> Result<Sources, IngestError> {
     // Hash ahead only what could be there already.
     let mut sizes: HashMap<u64, usize> = HashMap::new();
     stored.iter().map(|s| s.source_bytes).chain(opened.iter().map(|s| s.bytes)).for_each(|size| {
@@ -123,8 +188,9 @@ pub(super) fn open(
     for mut source in opened {
         let path = source.reader.info().path.clone();
         if sizes.get(&source.bytes).is_some_and(|&n| n > 1) {
-            let content = match &hashed {
-                Some((of, content)) if *of == path => *content,
+            let content = match (&hashed, source.content) {
+                (_, Some(known)) => known,
+                (Some((of, content)), None) if *of == path => *content,
                 _ => content_hash(&path, &|| progress.cancelled())?.ok_or(IngestError::Interrupted)?,
             };
             hashed = Some((path.clone(), content));
@@ -142,7 +208,12 @@ pub(super) fn open(
                 continue;
             }
             if let Some(scan) = source.with_another_pose(&content, stored) {
-                return Err(IngestError::OtherPose { scan: source.label(), name: scan.name.clone() });
+                let error = IngestError::OtherPose { scan: source.label(), name: scan.name.clone() };
+                if !options.keep_going {
+                    return Err(error);
+                }
+                unreadable.push((path, error));
+                continue;
             }
             by_identity.insert(identity, format!("the same bytes as {}", source.label()));
         }
@@ -156,9 +227,28 @@ pub(super) fn open(
             Some(_) => return Err(IngestError::NameOfMany),
             None => unique_name(&path, source.reader.info().scan_name.as_deref(), source.number, &mut taken),
         };
+        if let Some(scan) = stored.iter().find(|scan| is_new_version(&source, scan)) {
+            source.warnings.push(format!(
+                "the store has an older version as '{}', and both are there now; `esker replace` puts a new one in its place",
+                scan.name
+            ));
+        }
         sources.push(source);
     }
     Ok(Sources { sources, skipped, unreadable })
+}
+
+/// Does a source, whose content is new, look like a new version of a stored scan: the same path, or a file of the same name
+/// with a scan of the same name in it?
+fn is_new_version(source: &Source, stored: &Scan) -> bool {
+    let info = source.reader.info();
+    let of = Path::new(&stored.source);
+    let own = info.scan_name.as_deref();
+    let is_named = own.is_some_and(|own| is_name_of(&info.path, own, &stored.name));
+    let is_path = std::path::absolute(&info.path).is_ok_and(|path| path == of);
+    // Of several scans in a file the one that is called so.
+    is_path && (own.is_none() && source.number.is_none() || is_named)
+        || is_named && info.path.file_name() == of.file_name()
 }
 
 /// What a scan that is there already keeps, though the options ask for something else.
@@ -206,12 +296,16 @@ fn open_file(path: &Path, pose: Pose, options: &IngestOptions) -> Result<Vec<Sou
 /// A file that has changed is told by its path; a path that hangs on the current folder may be any file, and is refused.
 pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Progress) -> Result<Source, IngestError> {
     let path = PathBuf::from(&old.source);
+    if old.source.is_empty() {
+        return Err(IngestError::NoFile(old.name.clone()));
+    }
     if path.is_relative() {
         return Err(IngestError::Relative { path, name: old.name.clone() });
     }
     let opened = |pose: Pose| {
         let poses = vec![pose];
-        open(std::slice::from_ref(&path), &IngestOptions { poses, name: None, ..options.clone() }, &[], progress)
+        let options = IngestOptions { poses, name: None, ..options.clone() };
+        open(&Inputs::Files(std::slice::from_ref(&path)), &options, &[], progress)
     };
     let given = options.poses.first().copied();
     let mut sources = opened(given.unwrap_or_default())?.sources;

@@ -1,6 +1,6 @@
 //! Points by column.
 
-use super::{Attribute, Column};
+use super::{Attribute, Column, canonical_name, same_name};
 use crate::lattice::LatticePoint;
 use std::sync::Arc;
 
@@ -95,9 +95,14 @@ impl Batch {
         self.positions.is_empty()
     }
 
-    /// The column of the attribute with this exact name, if it is there (the first, if several types share the name).
+    /// The column of the attribute of this name, if it is there (the first, if several types share the name): exactly so, or
+    /// as queries look names up, `intensity` or `return_number`. Its values are as they are stored: [`Real`](super::Real) makes
+    /// real values of those of an attribute with a scaling. A point whose scan lacks the attribute has 0.
     pub fn column(&self, name: &str) -> Option<&Column> {
-        self.attributes.iter().position(|a| a.name == name).map(|i| &self.columns[i])
+        let place = |test: &dyn Fn(&str) -> bool| self.attributes.iter().position(|a| test(&a.name));
+        let found = place(&|n| n == name).or_else(|| place(&|n| same_name(n, name)));
+        let found = found.or_else(|| canonical_name(name).and_then(|canonical| place(&|n| n == canonical)));
+        found.map(|i| &self.columns[i])
     }
 
     /// The points at `indices`, in that order.
@@ -128,8 +133,12 @@ impl Batch {
     ///
     /// # Panics
     ///
-    /// If the types of the columns differ.
+    /// If number or types of the columns differ, or one of two batches with points knows their scans and the other doesn't.
     pub fn append(&mut self, other: &Self) {
+        assert_eq!(self.columns.len(), other.columns.len(), "batches of other columns");
+        let knows = |batch: &Self| batch.is_empty() || !batch.scans.is_empty();
+        let neither = self.scans.is_empty() && other.scans.is_empty();
+        assert!(neither || knows(self) && knows(other), "batches of which one has scans");
         self.positions.x.extend_from_slice(&other.positions.x);
         self.positions.y.extend_from_slice(&other.positions.y);
         self.positions.z.extend_from_slice(&other.positions.z);

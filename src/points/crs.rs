@@ -32,11 +32,11 @@ impl Crs {
         Self { horizontal_epsg: Some(horizontal), vertical_epsg: vertical, ..Self::default() }
     }
 
-    /// Reads `EPSG:N`, `EPSG:N+V` or WKT; `None` if it is neither. Other numbers than those of the register's systems would be
-    /// lost in files.
+    /// Reads `EPSG:N`, `EPSG:N+V`, the URN or URL of a code (`urn:ogc:def:crs:EPSG::N`) or WKT; `None` if it is none of these.
+    /// Other numbers than those of the register's systems would be lost in files.
     pub fn parse(text: &str) -> Option<Self> {
         let text = text.trim();
-        if let Some(code) = text.strip_prefix("EPSG:").or_else(|| text.strip_prefix("epsg:")) {
+        if let Some(code) = code_of_name(text) {
             let known =
                 |code: &str| code.trim().parse::<u16>().ok().filter(|code| EPSG_CODES.contains(code)).map(u32::from);
             let mut codes = code.splitn(2, '+').map(known);
@@ -44,7 +44,7 @@ impl Crs {
             let vertical = codes.next().map_or(Some(None), |code| code.map(Some))?;
             return Some(Self::from_epsg(horizontal, vertical));
         }
-        is_closed(text).then(|| Self { wkt: Some(text.to_owned()), ..Self::default() })
+        is_closed(text).then(|| Self::from_wkt(text))
     }
 
     fn node(&self) -> Option<Node> {
@@ -153,6 +153,23 @@ impl Crs {
     }
 }
 
+/// What stands behind `EPSG:`, or for it in the longer names of a code.
+fn code_of_name(text: &str) -> Option<&str> {
+    if let Some((authority, code)) = text.split_once(':')
+        && authority.eq_ignore_ascii_case("EPSG")
+    {
+        return Some(code);
+    }
+    let lower = text.to_ascii_lowercase();
+    let urn = lower.strip_prefix("urn:ogc:def:crs:epsg:").and_then(|rest| Some((rest, rest.split_once(':')?.1)));
+    let url = ["http://www.opengis.net/def/crs/epsg/", "https://www.opengis.net/def/crs/epsg/"];
+    let url =
+        url.iter().find_map(|start| lower.strip_prefix(start)).and_then(|rest| Some((rest, rest.split_once('/')?.1)));
+    // The version of the register may be anything, or missing.
+    let (_, code) = urn.or(url)?;
+    text.get(text.len() - code.len()..)
+}
+
 /// Is it as WKT is: brackets of which each is closed, the last one at the end?
 fn is_closed(wkt: &str) -> bool {
     let mut depth = 0_u32;
@@ -176,6 +193,16 @@ mod tests {
     fn codes_and_wkt_are_told_apart() {
         assert_eq!(Crs::parse(" EPSG:25832 "), Some(Crs::from_epsg(25_832, None)));
         assert_eq!(Crs::parse("epsg:25832+7837"), Some(Crs::from_epsg(25_832, Some(7837))));
+        for name in [
+            "urn:ogc:def:crs:EPSG::25832",
+            "urn:ogc:def:crs:epsg:9.9:25832",
+            "http://www.opengis.net/def/crs/EPSG/0/25832",
+        ] {
+            assert_eq!(Crs::parse(name), Some(Crs::from_epsg(25_832, None)), "{name}");
+        }
+        // The code in a text counts as much as one that stands alone.
+        let wkt = r#"PROJCS["ETRS89 / UTM zone 32N",UNIT["metre",1],AUTHORITY["EPSG","25832"]]"#;
+        assert_eq!(Crs::parse(wkt).unwrap().same_as(&Crs::from_epsg(25_832, None)), Some(true));
         let wkt = r#"PROJCS["here ]",UNIT["m"]]"#;
         assert_eq!(Crs::parse(wkt).and_then(|c| c.wkt).as_deref(), Some(wkt));
         for neither in [
@@ -186,6 +213,8 @@ mod tests {
             "EPSG:",
             "EPSG:x",
             "EPSG:1+",
+            "urn:ogc:def:crs:EPSG::",
+            "urn:ogc:def:crs:OGC::CRS84",
             "25832",
             "UTM",
             "GEOGCS[",

@@ -6,11 +6,12 @@ use std::time::{Duration, Instant};
 
 /// The report of a query.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Answer {
     /// Points returned.
     pub points: u64,
     /// Every matching point of the store has a returned point within this distance, in CRS units; `None` if nothing can
-    /// be promised: no point is returned, though some may match.
+    /// be promised: no point is returned, though some may match, or the query was ended before its last point.
     pub error_bound: Option<f64>,
     /// For views: the largest error in pixels, at the centre of the image, of what is visible.
     pub error_bound_px: Option<f64>,
@@ -25,6 +26,7 @@ pub struct Answer {
 
 /// What a query cost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Statistics {
     /// Nodes of which something was read.
     pub nodes: u64,
@@ -56,6 +58,13 @@ pub struct Statistics {
     pub seconds_decoding: f64,
     /// In the receiver of the points.
     pub seconds_delivering: f64,
+}
+
+impl Answer {
+    /// The same of a query that was ended before its last point: what is missing may be anywhere.
+    pub(crate) fn cut_short(self) -> Self {
+        Self { error_bound: None, error_bound_px: None, ..self }
+    }
 }
 
 /// Counts from all threads.

@@ -20,14 +20,16 @@ pub struct Batches {
     plan: Arc<Plan>,
     stream: Stream<Task, Batch>,
     answer: Answer,
+    is_complete: bool,
+    has_failed: bool,
 }
 
 impl Batches {
     pub(crate) fn new(prepared: Prepared) -> Self {
         let Prepared { plan, source, answer } = prepared;
         let here = plan.clone();
-        let stream = Stream::new(source, points, plan.threads, move |task| work(&here, task));
-        Self { plan, stream, answer: Answer { points: 0, ..answer } }
+        let stream = Stream::new(source, points, plan.threads, plan.cancel.clone(), move |task| work(&here, task));
+        Self { plan, stream, answer: Answer { points: 0, ..answer }, is_complete: false, has_failed: false }
     }
 
     pub(crate) fn plan(&self) -> &Plan {
@@ -39,10 +41,11 @@ impl Batches {
         &self.plan.attributes
     }
 
-    /// The report: the points that were handed on so far, and what they cost. The error bound holds once the last batch is
-    /// there.
+    /// The report: the points that were handed on so far, and what they cost. There is an error bound once `next` has given
+    /// `None`: some points may be missing before.
     pub fn answer(&self) -> Answer {
-        self.plan.finish(self.answer.clone())
+        let answer = self.answer.clone();
+        self.plan.finish(if self.is_complete { answer } else { answer.cut_short() })
     }
 }
 
@@ -51,13 +54,20 @@ impl Iterator for Batches {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            match self.stream.next()? {
+            let Some(next) = self.stream.next() else {
+                self.is_complete = !self.has_failed;
+                return None;
+            };
+            match next {
                 Ok(batch) if batch.is_empty() => {}
                 Ok(batch) => {
                     self.answer.points += batch.len() as u64;
                     return Some(Ok(batch));
                 }
-                Err(error) => return Some(Err(error)),
+                Err(error) => {
+                    self.has_failed = true;
+                    return Some(Err(error));
+                }
             }
         }
     }

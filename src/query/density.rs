@@ -17,6 +17,7 @@ const MOST_SQUARES: u64 = 1 << 28;
 /// `floor(x / side) = first[0] + i` and `floor(y / side) = first[1] + j`: exact, the side and the coordinates being
 /// decimals.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Density {
     /// The side of a square, in CRS units.
     pub side: f64,

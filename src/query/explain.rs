@@ -19,6 +19,7 @@ pub(super) const OWN_POINTS_DO_NOT_MATCH: &str = "none of its own points can mat
 /// What becomes of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Verdict {
     /// Its points are in the answer, all or some.
     Taken,
@@ -32,6 +33,7 @@ pub enum Verdict {
 
 /// A node and what becomes of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct ExplainedNode {
     /// Its name, level-x-y-z; level 0 is the root.
     pub node: String,
@@ -53,6 +55,7 @@ pub struct ExplainedNode {
 
 /// What a query does, node by node in pre-order; below a refused node nothing is listed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Explanation {
     /// The nodes.
     pub nodes: Vec<ExplainedNode>,

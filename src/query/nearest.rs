@@ -12,6 +12,7 @@ use crate::store::Snapshot;
 
 /// The neighbours of some points.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Neighbors {
     /// All neighbours: those of the first point, nearest first, then those of the second, and so on.
     pub batch: Batch,

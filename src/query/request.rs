@@ -1,8 +1,10 @@
 //! What is asked for.
 
+use super::filter::attributes_named;
 use super::plan::asked_scans;
 use super::{Cancel, Detail, Filter, Policy, QueryError, Region, Watch};
 use crate::geometry::Camera;
+use crate::points::Attribute;
 use crate::store::Snapshot;
 use crate::store::model::ScanId;
 
@@ -58,6 +60,9 @@ pub struct Query {
     pub(super) policy: Policy,
 }
 
+/// More threads than any pool has.
+const MOST_THREADS: usize = 1 << 16;
+
 impl Query {
     /// Everything.
     pub fn new() -> Self {
@@ -106,6 +111,15 @@ impl Query {
         self
     }
 
+    /// The points that ranges of colours, legends and what is there are found by: the coarsest level of what is asked for, or as
+    /// much of it as is enough.
+    #[must_use]
+    pub fn coarse_sample(self) -> Self {
+        /// A site that fills a volume has millions in its coarsest level.
+        const MOST: u64 = 200_000;
+        self.detail(Detail::Level(0)).capacity(MOST)
+    }
+
     /// At most so many points: the first of one fixed sequence, so that answers to larger capacities hold those to
     /// smaller ones.
     #[must_use]
@@ -132,6 +146,21 @@ impl Query {
         self
     }
 
+    /// Of each of these attributes, of an answer, the place at which it was asked for; the same for all if all are.
+    pub(crate) fn places_of(&self, attributes: &[Attribute], snapshot: &Snapshot) -> Vec<usize> {
+        let names: &[String] = match &self.attributes {
+            Attributes::Named(names) => names,
+            Attributes::All | Attributes::None => &[],
+        };
+        // Names may be synonyms, and several kinds of a name may have become one.
+        let meant: Vec<Vec<&str>> = names
+            .iter()
+            .map(|name| attributes_named(name, snapshot.attributes()).iter().map(|a| &*a.attribute.name).collect())
+            .collect();
+        let place = |a: &Attribute| meant.iter().position(|names| names.contains(&&*a.name)).unwrap_or(names.len());
+        attributes.iter().map(place).collect()
+    }
+
     /// Positions alone.
     #[must_use]
     pub fn positions_only(mut self) -> Self {
@@ -151,11 +180,11 @@ impl Query {
         self
     }
 
-    /// Decodes on so many threads at most (at least one); with one, on the thread that asks. Otherwise on all of the pool
-    /// that the thread belongs to.
+    /// Decodes on so many threads of the pool at most (at least one); with one, on the thread that asks. Otherwise on all of
+    /// the pool that the thread belongs to.
     #[must_use]
     pub fn threads(mut self, threads: usize) -> Self {
-        self.threads = Some(threads.max(1));
+        self.threads = Some(threads.clamp(1, MOST_THREADS));
         self
     }
 

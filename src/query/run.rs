@@ -7,7 +7,7 @@ use super::plan::{Plan, Prospect, Scope};
 use super::seen;
 use super::stream::{Source, Stream};
 use super::task::{Task, count, points, work};
-use super::{Query, QueryError, Region};
+use super::{Policy, Query, QueryError, Region};
 use crate::points::Batch;
 use crate::store::model::PartHead;
 use crate::store::{Node, Snapshot};
@@ -16,7 +16,8 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 impl Query {
-    /// Runs the query and hands the points to `sink`, in an order that is always the same; `sink` may end it.
+    /// Runs the query and hands the points to `sink`, in an order that is always the same; `sink` may end it, after
+    /// which the answer has no error bound.
     ///
     /// # Errors
     ///
@@ -31,7 +32,7 @@ impl Query {
         while let Some(batch) = batches.next() {
             let batch = batch?;
             if batches.plan().meter.time(Stage::Delivering, || sink(batch)).is_break() {
-                break;
+                return Ok(batches.answer());
             }
         }
         Ok(batches.answer())
@@ -51,7 +52,7 @@ impl Query {
         let Prepared { plan, source, mut answer } = self.prepare(snapshot, false)?;
         answer.points = 0;
         let here = plan.clone();
-        let stream = Stream::new(source, points, plan.threads, move |task| {
+        let stream = Stream::new(source, points, plan.threads, plan.cancel.clone(), move |task| {
             let batch = work(&here, task)?;
             let points = batch.len() as u64;
             Ok((points, (points > 0).then(|| here.meter.time(Stage::Delivering, || map(batch)))))
@@ -60,7 +61,7 @@ impl Query {
             let (points, Some(mapped)) = mapped? else { continue };
             answer.points += points;
             if plan.meter.time(Stage::Delivering, || sink(mapped)).is_break() {
-                break;
+                return Ok(plan.finish(answer.cut_short()));
             }
         }
         Ok(plan.finish(answer))
@@ -180,6 +181,9 @@ impl Query {
 
     /// Decides what is to be read. When the points are only counted, those that are known already are in the answer.
     fn prepare(&self, snapshot: &Snapshot, counting: bool) -> Result<Prepared, QueryError> {
+        if self.view.is_none() && self.policy != Policy::default() {
+            return Err(QueryError::Combination("a policy is about a view; give the query one, or no policy"));
+        }
         let mut plan = Plan::new(self, snapshot)?;
         let root = plan.root();
         let cell = self.detail.cell(root, plan.g, plan.lattice.quantum_f64())?;

@@ -18,6 +18,7 @@ use std::sync::Arc;
 
 /// Least, greatest and mean value of one attribute over the points that have it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct AttributeSummary {
     /// The attribute.
     pub name: String,

@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 /// What a store holds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Description {
     /// Points.
     pub points: u64,
@@ -77,6 +78,7 @@ impl WorldBounds {
 
 /// A coordinate reference system.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct CrsDescription {
     /// One line for people.
     pub description: String,
@@ -90,6 +92,7 @@ pub struct CrsDescription {
 
 /// What an attribute costs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct AttributeCost {
     /// Its name; `position` and `(scan of each point)` are none.
     pub name: String,
@@ -112,6 +115,7 @@ pub struct AttributeCost {
 
 /// A scan of a store.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct ScanDescription {
     /// The number.
     pub id: u32,
@@ -173,6 +177,19 @@ fn range_of(slot: Slot, attribute: &Attribute, zones: &[Arc<Zones>]) -> Option<[
         Number::Float(v) => real.of_float(v),
     });
     Some([a.min(b), a.max(b)].map(Number::Float))
+}
+
+/// The least and the greatest value of an attribute, scaled; `None` where there is none, or the index can't be read.
+pub(crate) fn scaled_ends(snapshot: &Snapshot, slot: Slot) -> Option<[f64; 2]> {
+    let nodes = snapshot.nodes();
+    let zones =
+        nodes.roots().and_then(|roots| roots.iter().map(|root| nodes.zones(root)).collect::<Result<Vec<_>, _>>());
+    let ends = range_of(slot, &snapshot.attribute(slot)?.attribute, &zones.ok()?)?;
+    Some(ends.map(|end| match end {
+        Number::Unsigned(v) => v as f64,
+        Number::Signed(v) => v as f64,
+        Number::Float(v) => v,
+    }))
 }
 
 /// Describes a store; reads its index, no points.

@@ -180,7 +180,7 @@ pub enum StoreError {
         /// The store.
         path: PathBuf,
         /// SQLite's word.
-        source: rusqlite::Error,
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// What was to be committed contradicts itself: a mistake of the caller, not of the file. Nothing was changed.
     #[error("{path}: refused to commit: {what}")]
@@ -271,13 +271,13 @@ fn from_sqlite(error: rusqlite::Error, path: PathBuf) -> StoreError {
             ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked => StoreError::Busy { path },
             // Our statements fit our schema: if SQLite can't make sense of them, the schema is damaged.
             ErrorCode::Unknown => damaged(message.clone().unwrap_or_else(|| error.to_string())),
-            _ => StoreError::Sqlite { path, source: error },
+            _ => StoreError::Sqlite { path, source: error.into() },
         },
         rusqlite::Error::InvalidColumnType(..)
         | rusqlite::Error::IntegralValueOutOfRange(..)
         | rusqlite::Error::FromSqlConversionFailure(..)
         | rusqlite::Error::Utf8Error(..)
         | rusqlite::Error::QueryReturnedNoRows => damaged(error.to_string()),
-        _ => StoreError::Sqlite { path, source: error },
+        _ => StoreError::Sqlite { path, source: error.into() },
     }
 }

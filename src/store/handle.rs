@@ -3,7 +3,7 @@
 use super::cache::CacheFigures;
 use super::connection;
 use super::error::{RowError, StoreError};
-use super::files::{beside, followed, journal, wal};
+use super::files::{beside, check_folder, followed, is_named_as_beside, journal, wal};
 use super::interrupt::unless;
 use super::lock::WriterLock;
 use super::log::LogMark;
@@ -25,9 +25,9 @@ pub struct SiteOptions {
     /// Quantum and phase.
     pub lattice: Lattice,
     /// The sampling grid has `2^g` cells a side: [`super::model::FORMAT_G`] but for tests.
-    pub g: u8,
+    pub(crate) g: u8,
     /// The leaf rule: [`super::model::FORMAT_LEAF_CAPACITY`] but for tests.
-    pub leaf_capacity: u32,
+    pub(crate) leaf_capacity: u32,
     /// The CRS, if it is known already.
     pub crs: Option<Crs>,
 }
@@ -37,6 +37,12 @@ impl SiteOptions {
     pub fn new(lattice: Lattice) -> Self {
         let (g, leaf_capacity) = (super::model::FORMAT_G, super::model::FORMAT_LEAF_CAPACITY);
         Self { lattice, g, leaf_capacity, crs: None }
+    }
+
+    /// With a CRS that is known already.
+    #[must_use]
+    pub fn crs(self, crs: Option<Crs>) -> Self {
+        Self { crs, ..self }
     }
 
     /// The site before the first commit.
@@ -219,7 +225,7 @@ impl Store {
         self.place.caches().figures()
     }
 
-    /// Has anything been committed since `snapshot`?
+    /// Has anything been committed since `snapshot`? One of another store differs, too.
     ///
     /// # Errors
     ///
@@ -235,20 +241,26 @@ impl Store {
                 generation
             }
         };
-        Ok(generation.map_err(|e| self.place.error(e))? != snapshot.generation())
+        let is_other = !Arc::ptr_eq(&self.place, snapshot.place()) && self.place.path() != snapshot.place().path();
+        Ok(is_other || generation.map_err(|e| self.place.error(e))? != snapshot.generation())
     }
 
     /// Writes a copy without free space to `path`, where nothing may be yet, also of a store that can't be written.
     ///
     /// # Errors
     ///
-    /// [`StoreError::AlreadyThere`], [`StoreError::Full`] and [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; no
-    /// copy is left then.
+    /// [`StoreError::AlreadyThere`], [`StoreError::NameOfAnother`], [`StoreError::NoFolder`], [`StoreError::Full`] and
+    /// [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; [`StoreError::Interrupted`] if `stop`, which is asked now
+    /// and then, says so. No copy is left then.
     pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
         let Some(text) = path.to_str() else {
             let what = "the copy's path is no UTF-8".into();
             return Err(StoreError::Inconsistent { path: path.into(), what });
         };
+        if is_named_as_beside(path) {
+            return Err(StoreError::NameOfAnother { path: path.into() });
+        }
+        check_folder(path)?;
         // An empty file may be copied into, and is nobody else's: what is removed after an error is this one.
         match OpenOptions::new().write(true).create_new(true).open(path) {
             Ok(_) => {}

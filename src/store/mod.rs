@@ -50,6 +50,7 @@ pub use cache::{BlockKey, CacheFigures, CachedBlock};
 pub use checksum::Checksum;
 pub use connection::APPLICATION_ID;
 pub use decode::{DecodedPart, decode_part, decode_part_keys, follow};
+pub(crate) use describe::scaled_ends;
 pub use describe::{AttributeCost, CrsDescription, Description, ScanDescription, WorldBounds, describe};
 pub use digest::{Digest, Digester, digest};
 pub use encode::{

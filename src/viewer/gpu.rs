@@ -76,8 +76,13 @@ impl Gpu {
     pub fn new(window: Arc<Window>, limits: &Limits) -> Result<(Self, Box<dyn PointPool>), ViewerError> {
         let instance = crate::render::instance();
         let failed = |what: &str, e: &dyn std::fmt::Display| ViewerError::Graphics(format!("{what}: {e}"));
-        let surface =
-            instance.create_surface(window.clone()).map_err(|e| failed("the window can't be drawn into", &e))?;
+        let surface = instance.create_surface(window.clone()).map_err(|e| {
+            // Without any adapter there is no interface to make one with: that has a remedy.
+            match crate::render::adapter(&instance, None) {
+                Err(none) => ViewerError::Render(none),
+                Ok(_) => failed("the window can't be drawn into", &e),
+            }
+        })?;
         let adapter = crate::render::adapter(&instance, Some(&surface))?;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("esker viewer"),

@@ -23,7 +23,7 @@ pub use model::{Action, Clip, Found, FrameTimes, Model, Section};
 pub use script::{Step, parse as parse_script};
 pub use site::{ScanFacts, Site};
 pub use window::{Options, run};
-pub use work::Exporter;
+pub use work::{Exporter, Wanted};
 
 use thiserror::Error;
 

@@ -106,6 +106,10 @@ impl Navigator {
 
     /// A key goes down or up. A key that moves ends orbiting.
     pub fn key(&mut self, key: Key, down: bool) {
+        // Alone it begins no flight: whoever presses it may have another key in mind.
+        if down && key == Key::Control && self.rig.mode == Mode::Orbit {
+            return;
+        }
         let Some(held) = bindings::held(&mut self.held, key) else { return };
         *held = down;
         let moves = !matches!(key, Key::Shift | Key::Alt);
@@ -230,6 +234,13 @@ mod tests {
         assert!(((nav.rig.eye() - before).length() / step - 4.0).abs() < 1e-9);
         nav.key(Key::W, false);
         assert!(!nav.advance(0.1), "at rest");
+        nav.rig.mode = Mode::Orbit;
+        nav.key(Key::Control, true);
+        assert!(!nav.advance(0.1) && nav.rig.mode == Mode::Orbit, "Ctrl alone");
+        nav.rig.mode = Mode::Fly;
+        nav.key(Key::Control, true);
+        assert!(nav.advance(0.1), "down");
+        nav.key(Key::Control, false);
         nav.key(Key::D, true);
         nav.release_all();
         assert!(!nav.is_moving());

@@ -3,8 +3,8 @@
 use crate::geometry::{Camera, CameraError, DVec3, Framed, Framing, ImageArea, Projection};
 use glam::DMat3;
 
-/// No steeper than this: `up` must not meet the line of sight.
-const STEEPEST_RAD: f64 = 1.553;
+/// Straight down and up, no further.
+const STEEPEST_RAD: f64 = std::f64::consts::FRAC_PI_2;
 /// The camera of a person who walks is so high above the ground, in metres; in other units it is the same number.
 pub const EYE_HEIGHT: f64 = 1.7;
 /// How long it takes to get to another place.
@@ -293,11 +293,31 @@ impl Rig {
         !done
     }
 
-    /// Goes to where `point` is in the middle of the image and near.
-    pub fn go_to(&mut self, point: DVec3) {
+    /// Goes to where `point` is in the middle of the free part of the image and near.
+    pub fn go_to(&mut self, point: DVec3, onto: Onto) {
         let distance = ((point - self.eye).length() * 0.35).max(f64::MIN_POSITIVE);
         let pose = self.pose();
-        self.start(Pose { eye: point - self.forward() * distance, distance, ..pose });
+        self.start(Pose { eye: point - self.ahead(distance, onto), distance, ..pose });
+    }
+
+    /// From the eye to what is looked at: what is at its distance in the middle of the free part of the image.
+    pub fn looked_at(&self, onto: Onto) -> DVec3 {
+        self.eye + self.ahead(self.distance, onto)
+    }
+
+    /// From the eye to the middle of the free part of the image, `distance` along the line of sight.
+    fn ahead(&self, distance: f64, onto: Onto) -> DVec3 {
+        let [x, y] = onto.area.center();
+        let height = 2.0 * (self.fov_y_rad / 2.0).tan() * distance;
+        let axes = self.axes();
+        axes.x_axis * ((x - 0.5) * height * onto.aspect) + axes.y_axis * ((0.5 - y) * height) - axes.z_axis * distance
+    }
+
+    /// Looks at the horizon, if it looks down or up steeply.
+    pub fn level(&mut self) {
+        if self.pitch_rad.abs() > 0.8 {
+            self.pitch_rad = 0.0;
+        }
     }
 
     /// Goes to where all of `places` are seen, in the direction that is looked in now.
@@ -347,7 +367,7 @@ impl Pose {
         let forward = camera.forward();
         // Straight down or up, the image's upper edge says which way the camera is turned.
         let level = DVec3::new(forward.x, forward.y, 0.0);
-        let turned = if level.length() > 1e-3 { level } else { camera.up() * -forward.z.signum().min(0.0) + level };
+        let turned = if level.length() > 1e-3 { level } else { camera.up() * -forward.z.signum() };
         Self {
             eye: camera.eye(),
             yaw_rad: turned.y.atan2(turned.x),
@@ -370,6 +390,10 @@ impl Pose {
 }
 
 fn direction(yaw_rad: f64, pitch_rad: f64) -> DVec3 {
+    // The cosine of the nearest f64 to a right angle is not 0, and a plan must not lean.
+    if pitch_rad.abs() >= STEEPEST_RAD {
+        return DVec3::Z * pitch_rad.signum();
+    }
     DVec3::new(yaw_rad.cos() * pitch_rad.cos(), yaw_rad.sin() * pitch_rad.cos(), pitch_rad.sin())
 }
 

@@ -9,9 +9,6 @@ use crate::store::model::ScanId;
 use crate::store::{Snapshot, StoreError};
 use std::collections::BTreeMap;
 
-/// Points of the sample, at most.
-const SAMPLE_POINTS: u64 = 40_000;
-
 /// A scan as the panels show it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScanFacts {
@@ -82,11 +79,10 @@ impl Site {
         let has = |name: &str| snapshot.attributes().iter().any(|a| a.attribute.name == name);
         let wanted = ["Red", "Green", "Blue", "Intensity", "Classification", "ReturnNumber", "GpsTime"];
         let mut sample = Batch::empty(Vec::new().into());
-        if let Some(camera) = bounds.and_then(|b| Camera::looking_at_all(&b, [1024, 1024]).ok()) {
-            // The first parts of the coarsest nodes, whatever the camera's pixels.
-            let query = Query::new().view(camera, 0.0).capacity(SAMPLE_POINTS).with_scans(true);
+        if bounds.is_some() {
             let flat = flat_attributes(snapshot)?;
             let shows = |name: &&str| has(name) && ColorMode::shows(name, &flat);
+            let query = Query::new().coarse_sample().with_scans(true);
             sample = query.attributes(wanted.into_iter().filter(shows)).collect(snapshot)?.0;
         }
         let depths: BTreeMap<u32, Option<u8>> = snapshot.scans().iter().map(|s| (s.id, s.color_depth)).collect();

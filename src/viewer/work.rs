@@ -4,7 +4,7 @@
 use super::site::{Site, bookmarks};
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::points::counted;
-use crate::query::{Query, Region};
+use crate::query::{Filter, Query, Region};
 use crate::store::{Snapshot, Store, StoreError};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -17,8 +17,19 @@ const RETRY: Duration = Duration::from_millis(500);
 /// The ground is looked for so far around the eye, in plan, and so far below it; farther where there is nothing nearer.
 const GROUND: [(f64, f64); 4] = [(0.6, 6.0), (0.6, 500.0), (3.0, 1000.0), (12.0, 2000.0)];
 
-/// Writes the points of a box, of these scans, to a file; says how many there are.
-pub type Exporter = dyn Fn(&Snapshot, &WorldBox, &[String], &Path) -> Result<u64, String> + Send + Sync;
+/// Which points are written to a file.
+#[derive(Clone, Debug)]
+pub struct Wanted {
+    /// Where.
+    pub bounds: WorldBox,
+    /// Of which scans.
+    pub scans: Vec<String>,
+    /// Of which classes, if some are off.
+    pub filter: Option<Filter>,
+}
+
+/// Writes points to a file; says how many there are.
+pub type Exporter = dyn Fn(&Snapshot, &Wanted, &Path) -> Result<u64, String> + Send + Sync;
 
 /// What is to be done.
 #[derive(Clone, Debug)]
@@ -30,7 +41,7 @@ pub enum Job {
     /// Let go of one.
     RemoveBookmark(String),
     /// Write points.
-    Export(WorldBox, Vec<String>, PathBuf),
+    Export(Box<Wanted>, PathBuf),
     /// How high is the ground below?
     Ground(DVec3),
 }
@@ -132,9 +143,9 @@ impl Work {
             }
             Job::SaveBookmark(name, camera) => self.waiting.push((name, Some(camera))),
             Job::RemoveBookmark(name) => self.waiting.push((name, None)),
-            Job::Export(bounds, scans, path) => {
+            Job::Export(wanted, path) => {
                 let snapshot = self.store.snapshot().map_err(|e| e.to_string());
-                let done = snapshot.and_then(|s| (self.exporter)(&s, &bounds, &scans, &path));
+                let done = snapshot.and_then(|s| (self.exporter)(&s, &wanted, &path));
                 tell(News::Told(match done {
                     Ok(points) => format!("{} written to {}", counted(points, "point"), path.display()),
                     Err(error) => error,

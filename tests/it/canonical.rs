@@ -132,7 +132,7 @@ fn nothing_of_an_ingest_that_was_cut_off_is_kept() {
     esker_ok(&["ingest", &at("clean.esker"), &at("fine.csv")]);
     let lattice = esker::lattice::Lattice::uniform(0.5).unwrap();
     let crs = esker::points::Crs::parse("EPSG:2154");
-    let site = esker::store::SiteOptions { crs, ..esker::store::SiteOptions::new(lattice) };
+    let site = esker::store::SiteOptions::new(lattice).crs(crs);
     // As it is found where the process is killed before its first commit.
     drop(esker::store::Store::create_with_writer(at("cut.esker"), site.clone()).unwrap());
     let report = esker_ok(&["ingest", &at("cut.esker"), &at("fine.csv")]);

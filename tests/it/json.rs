@@ -88,6 +88,9 @@ fn every_field_is_documented_and_every_documented_field_is_there() {
     check("replace --json", &["replace", &store, "site_1", &scan_2, "--name", "site_2", "--json"], false);
     check("hide --json", &["hide", &store, "site_2", "--json"], false);
     check("scans --json", &["scans", &store, "--json"], false);
+    check("rename --json", &["rename", &store, "site_2", "south", "--json"], false);
+    check("set-crs --json", &["set-crs", &store, "EPSG:32632", "--json"], false);
+    esker_ok(&["rename", &store, "south", "site_2"]);
     check("show --json", &["show", &store, "site_2", "--json"], false);
     check("info --json", &["info", &store, "--json"], false);
     check("digest --json", &["digest", &store, "--json"], false);

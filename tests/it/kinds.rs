@@ -478,3 +478,25 @@ fn filters_see_what_the_answer_gives_where_kinds_meet() {
     assert_eq!(check(&fields, "Green", &[], &levels, false).len(), 8);
     assert_eq!([count(&fields, "Green = 51400"), count(&fields, "raw(Green) = 200")], [2, 1]);
 }
+
+/// Whoever wrote them had rounded them to half a metre, and all that was said was how exactly that is stored.
+#[test]
+fn floats_of_32_bits_that_are_far_coarser_than_the_store_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let told = |name: &str, ty: &str, bytes: Vec<u8>| {
+        let properties = ["x", "y", "z"].map(|axis| format!("property {ty} {axis}\n")).concat();
+        let head = format!("ply\nformat binary_little_endian 1.0\nelement vertex 2\n{properties}end_header\n");
+        fs::write(at(name), [head.into_bytes(), bytes].concat()).unwrap();
+        let output = esker(&["ingest", &at(&format!("{name}.esker")), &at(name)]);
+        assert!(output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    let utm = [[500_000.0_f64, 5_400_040.5, 1.0], [500_001.0, 5_400_044.0, 2.0]];
+    let singles = |points: [[f64; 3]; 2]| points.iter().flatten().flat_map(|&v| (v as f32).to_le_bytes()).collect();
+    let warning = told("far.ply", "float", singles(utm));
+    assert!(warning.contains("its coordinates are 32-bit floats, up to 0.5 apart here"), "{warning}");
+    assert!(!told("near.ply", "float", singles([[0.5, 1.5, 2.0], [12.0, 30.0, 1.0]])).contains("32-bit"));
+    let doubles = utm.iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+    assert!(!told("double.ply", "double", doubles).contains("32-bit"));
+}

@@ -15,6 +15,7 @@ mod growth;
 mod histories;
 mod json;
 mod kinds;
+mod labels;
 mod memory;
 mod order;
 mod outofcore;
@@ -28,5 +29,6 @@ mod readers;
 mod streaming;
 mod support;
 mod systems;
+mod tables;
 #[cfg(feature = "viewer")]
 mod window;

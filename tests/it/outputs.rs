@@ -360,3 +360,52 @@ fn points_without_returns_are_the_only_one_in_las_beside_others_too() {
         esker_ok(&["query", &store, "--where", "Y > 5", "--attributes", "ReturnNumber", "-o", "-", "--format", "csv"]);
     assert!(text.lines().skip(1).all(|line| line.ends_with(",0")), "{text}");
 }
+
+/// They came in the alphabet's order, and readers of X Y Z I R G B go by place.
+#[test]
+fn columns_come_in_the_order_in_which_they_were_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = at("order.esker");
+    fs::write(at("o.csv"), "x,y,z,intensity,red,green,blue,code\n1,2,3,7,10,20,30,5\n").unwrap();
+    esker_ok(&["ingest", &store, &at("o.csv")]);
+    let query = ["query", &store, "-o", "-", "--format", "csv"];
+    let rows = |more: &[&str]| esker_ok(&[&query[..], more].concat());
+    assert_eq!(rows(&[]), "X,Y,Z,Blue,Green,Intensity,Red,code\n1,2,3,30,20,7,10,5\n");
+    let asked = rows(&["--attributes", "intensity,Red,green,Blue"]);
+    assert_eq!(asked, "X,Y,Z,Intensity,Red,Green,Blue\n1,2,3,7,10,20,30\n");
+    let near = ["nearest", &store, "--at", "1,2,3", "--attributes", "code,Red"];
+    assert_eq!(esker_ok(&near), "X,Y,Z,Place,Distance,code,Red\n1,2,3,0,0,5,10\n");
+    let split = at("p.csv");
+    esker_ok(&["query", &store, "-o", &split, "--split-by", "scan", "--attributes", "Red,code"]);
+    assert_eq!(fs::read_to_string(at("p_o.csv")).unwrap(), "X,Y,Z,Red,code\n1,2,3,10,5\n");
+}
+
+/// Joined setups could not be told apart in one file, and text without names was not to be had.
+#[test]
+fn points_say_their_scan_and_go_out_as_plain_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = at("s.esker");
+    fs::write(at("a.csv"), "x,y,z,intensity,code\n1,2,3,7,5\n").unwrap();
+    fs::write(at("b.csv"), "x,y,z,intensity\n4,5,6,9\n").unwrap();
+    esker_ok(&["ingest", &store, &at("a.csv"), &at("b.csv")]);
+    let csv = esker_ok(&["query", &store, "-o", "-", "--format", "csv", "--attributes", "Intensity", "--with-scan"]);
+    assert_eq!(csv, "X,Y,Z,Intensity,Scan\n1,2,3,7,1\n4,5,6,9,2\n");
+    esker_ok(&["query", &store, "-o", &at("s.las"), "--with-scan"]);
+    esker_ok(&["ingest", &at("again.esker"), &at("s.las")]);
+    let again = ["query", &at("again.esker"), "-o", "-", "--format", "csv", "--attributes", "Scan"];
+    assert_eq!(esker_ok(&again), "X,Y,Z,Scan\n1,2,3,1\n4,5,6,2\n");
+    let split = ["query", &store, "--split-by", "scan", "-o", &at("p.csv"), "--attributes", "none", "--with-scan"];
+    esker_ok(&split);
+    assert_eq!(fs::read_to_string(at("p_b.csv")).unwrap(), "X,Y,Z,Scan\n4,5,6,2\n");
+    // Rows of blanks, and a word on what they are.
+    let output = esker(&["query", &store, "-o", &at("rows.xyz"), "--attributes", "Intensity,code"]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("the columns are X Y Z Intensity code"), "{output:?}");
+    assert_eq!(fs::read_to_string(at("rows.xyz")).unwrap(), "1 2 3 7 5\n4 5 6 9 0\n");
+    assert_eq!(esker_ok(&["query", &store, "-o", "-", "--format", "xyz", "--attributes", "none"]), "1 2 3\n4 5 6\n");
+    esker_ok(&["query", &store, "-o", &at("rows.txt"), "--attributes", "none"]);
+    esker_ok(&["ingest", &at("rows.esker"), &at("rows.txt")]);
+    assert_eq!(esker_ok(&["query", &at("rows.esker"), "--count"]), "2\n");
+    esker_fails(&["query", &store, "--count", "--with-scan"], 2, &["--with-scan"]);
+}

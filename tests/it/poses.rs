@@ -128,6 +128,32 @@ fn a_scan_goes_back_to_its_own_frame() {
     );
 }
 
+/// They kept the directions that they had in the scan's frame, beside positions in the world.
+#[test]
+fn normals_turn_with_their_scan_and_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(path("n.csv"), "x,y,z,nx,ny,nz\n10,0,0,1,0,0\n20,0,0,0,0,0\n30,0,0,nan,0,1\n40,0,0,0.6,0,0.8\n").unwrap();
+    // A quarter turn about z, and larger by a tenth.
+    fs::write(path("pose.txt"), "0 -1.1 0 5\n1.1 0 0 6\n0 0 1.1 7\n0 0 0 1\n").unwrap();
+    let s = path("s.esker");
+    esker_ok(&["ingest", &s, &path("n.csv"), "--pose", &path("pose.txt")]);
+    let rows = |more: &[&str]| {
+        let text = esker_ok(&[&["query", &s, "-o", "-", "--format", "csv"], more].concat());
+        let mut rows: Vec<String> = text.lines().skip(1).map(str::to_owned).collect();
+        rows.sort();
+        rows
+    };
+    assert_eq!(rows(&[]), ["5,17,7,0,1,0", "5,28,7,0,0,0", "5,39,7,NaN,0,1", "5,50,7,0,0.6,0.8"]);
+    assert_eq!(rows(&["--frame", "scan"]), ["10,0,0,1,0,0", "20,0,0,0,0,0", "30,0,0,NaN,0,1", "40,0,0,0.6,0,0.8"]);
+    // Whole numbers can't be turned, and are told.
+    let ply = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+               property char nx\nproperty char ny\nproperty char nz\nend_header\n1 2 3 127 0 0\n";
+    fs::write(path("i.ply"), ply).unwrap();
+    let told = crate::support::esker(&["ingest", &path("i.esker"), &path("i.ply"), "--pose", &path("pose.txt")]);
+    assert!(String::from_utf8_lossy(&told.stderr).contains("its normals are not three floats of one type"), "{told:?}");
+}
+
 #[test]
 fn poses_are_one_each_and_rigid() {
     let folder = tempfile::tempdir().unwrap();

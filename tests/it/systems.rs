@@ -116,8 +116,33 @@ fn values_that_no_field_of_las_holds_are_told() {
         String::from_utf8_lossy(&output.stderr).into_owned()
     };
     let las = told("f.las");
-    assert!(las.contains("Intensity is f32 here, which LAS's own field can't hold: that is 0"), "{las}");
+    assert!(
+        las.contains("Intensity is f32 here: LAS's own field has it times 65,535, and an extra byte as it is"),
+        "{las}"
+    );
+    let field = |name: &str| {
+        let mut reader = las::Reader::from_path(place.path(name)).unwrap();
+        let points = reader.read_all().unwrap();
+        let mut found: Vec<u16> = points.points().map(|p| p.unwrap().intensity).collect();
+        found.sort_unstable();
+        found
+    };
+    // They were 0, and viewers showed black points.
+    assert_eq!(field("f.las"), [16_384, 32_768]);
     assert!(!las.contains("code") && !told("f.ply").contains("field"));
+    // Whole numbers of a scanner stay, others are brought to the field's range.
+    for (values, how, expected) in [
+        ("7.5\n2,3,4,65534.5", "as the nearest whole number", [8, 65_535]),
+        ("-2048\n2,3,4,2047", "from -2048 to 2047 as 0 to 65,535", [0, 65_535]),
+    ] {
+        let s = place.path(&format!("{}.esker", expected[0]));
+        fs::write(place.path("g.csv"), format!("x,y,z,intensity\n1,2,3,{values}\n")).unwrap();
+        esker_ok(&["ingest", &s, &place.path("g.csv")]);
+        let output = esker(&["query", &s, "-o", &place.path("g.las"), "--force"]);
+        let las = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(las.contains(how), "{las}");
+        assert_eq!(field("g.las"), expected);
+    }
 }
 
 #[test]

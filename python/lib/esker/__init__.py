@@ -13,7 +13,7 @@ Answers are exact, and say how good they are; see :meth:`Store.query`.
 
 from ._esker import VERSION as __version__
 from ._points import Answer, Batches, Density, Neighbors, Points
-from ._store import Snapshot, Store, generate, ingest, merge
+from ._store import Snapshot, Store, generate, ingest, ingest_points, merge
 from ._store import open_store as open
 from .errors import (
     DamagedError,
@@ -56,6 +56,7 @@ __all__ = [
     "UnknownNameError",
     "generate",
     "ingest",
+    "ingest_points",
     "merge",
     "open",
 ]

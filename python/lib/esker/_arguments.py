@@ -325,13 +325,14 @@ def per_axis(value, what):
     return axes * (3 // len(axes))
 
 
-def output(format, scale, frame, split_by, overwrite):
+def output(format, scale, frame, split_by, with_scan, overwrite):
     """All keywords of a file of points."""
     return {
         "format": text(format, "format"),
         "scale": per_axis(scale, "scale"),
         "frame": text(frame, "frame"),
         "split_by": text(split_by, "split_by"),
+        "with_scan": flag(with_scan, "with_scan"),
         "overwrite": flag(overwrite, "overwrite"),
     }
 
@@ -353,11 +354,6 @@ def changes(
     wait=False,
 ):
     """All keywords of a change."""
-    if crs is not None and not isinstance(crs, str):
-        # pyproj's and others' objects.
-        if not hasattr(crs, "to_wkt"):
-            raise TypeError(f"crs must be a string or an object with to_wkt, not {crs!r}")
-        crs = crs.to_wkt()
     if isinstance(columns, str):
         # As on the command line.
         columns = columns.split(",")
@@ -367,7 +363,7 @@ def changes(
         "lattice": None if lattice is None else path(lattice, "lattice"),
         "memory": None if memory is None else count(memory, "memory"),
         "threads": None if threads is None else count(threads, "threads"),
-        "crs": crs,
+        "crs": None if crs is None else crs_text(crs),
         "ignore_crs": flag(ignore_crs, "ignore_crs"),
         "name": text(name, "name"),
         "poses": _matrices(poses),
@@ -377,6 +373,57 @@ def changes(
         "keep_going": flag(keep_going, "keep_going"),
         "wait": flag(wait, "wait"),
     }
+
+
+def table(points):
+    """The columns of points in memory, contiguous and in types that a store has: x, y and z first."""
+    points = getattr(points, "points", points) if not hasattr(points, "keys") else points
+    names = getattr(getattr(points, "dtype", None), "names", None)
+    if names is None and hasattr(points, "keys"):
+        names = list(points.keys())
+    if names is not None:
+        columns = {str(name): points[name] for name in names}
+    else:
+        rows = np.asarray(points)
+        if rows.ndim != 2 or rows.shape[1] != 3:
+            raise TypeError(
+                "points must be a structured array, a mapping of names to arrays, or rows of x, y, z, not "
+                f"{type(points).__name__} of shape {rows.shape}"
+            )
+        columns = dict(zip("xyz", rows.T))
+    axes = {}
+    for axis in "xyz":
+        found = [name for name in columns if name == axis] or [name for name in columns if name == axis.upper()]
+        if not found:
+            raise TypeError(f"points have no {axis}; there are {', '.join(columns) or 'no columns'}")
+        axes[found[0]] = np.float64
+    rest = {name: None for name in columns if name not in axes}
+    return [(name, _column(name, columns[name], dtype)) for name, dtype in {**axes, **rest}.items()]
+
+
+def _column(name, values, dtype):
+    """The values of a column, in a type that a store has."""
+    if np.ma.is_masked(values):
+        raise TypeError(f"{name} is masked; fill it with what stands for no value")
+    values = np.asarray(values)
+    if values.ndim != 1:
+        raise TypeError(f"{name} must have one value a point; its shape is {values.shape}")
+    if values.dtype == np.bool_:
+        values = values.astype(np.uint8)
+    elif values.dtype == np.float16:
+        values = values.astype(np.float32)
+    if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
+        raise TypeError(f"{name} must be whole or real numbers of up to 64 bits, not {values.dtype}")
+    return np.ascontiguousarray(values, dtype=dtype or values.dtype.newbyteorder("="))
+
+
+def crs_text(crs):
+    """A CRS as text: one of pyproj's and others' objects is asked for its WKT."""
+    if isinstance(crs, str):
+        return crs
+    if not hasattr(crs, "to_wkt"):
+        raise TypeError(f"crs must be a string or an object with to_wkt, not {crs!r}")
+    return crs.to_wkt()
 
 
 def _matrices(poses):

@@ -374,23 +374,27 @@ class Reader:
         scale: Optional[Union[float, Sequence[float]]] = None,
         frame: str = "world",
         split_by: Optional[str] = None,
+        with_scan: bool = False,
         overwrite: bool = False,
         progress: Optional[OpenProgress] = None,
         **keywords: Unpack[ExportedKeywords],
     ) -> Dict[str, Any]:
-        """Writes the points of :meth:`query` to a LAS, LAZ, PLY, CSV, NPY or NPZ file in bounded memory, as the command
+        """Writes the points of :meth:`query` to a LAS, LAZ, PLY, CSV, XYZ, NPY or NPZ file in bounded memory, as the command
         line's ``query -o``: the same points in the same order, in the scans' own version, format, scale and offset where
         these agree. Gives the answer's report, with the files, their points and,
         where it is split, their ``scan`` or ``class`` in ``outputs``.
 
         ``format``
-            ``"las"``, ``"laz"``, ``"ply"``, ``"csv"``, ``"npy"`` or ``"npz"``, if the name of the file does not say.
+            ``"las"``, ``"laz"``, ``"ply"``, ``"csv"``, ``"xyz"``, ``"npy"`` or ``"npz"``, if the name of the file does
+            not say.
         ``scale``
             LAS and LAZ: coordinates in these steps, one number or one per axis.
         ``frame``
             ``"world"``, or ``"scan"`` for one scan as its scanner saw it.
         ``split_by``
             ``"scan"`` or ``"class"``: one file for each, ``out_NAME.laz`` or ``out_class2.laz`` for ``out.laz``.
+        ``with_scan``
+            A column ``Scan`` with the number of each point's scan; in LAS an extra byte.
         ``overwrite``
             Replace files that are there; otherwise they are an :exc:`ExistsError`.
         ``progress``
@@ -406,10 +410,10 @@ class Reader:
 
         The file appears when it is complete; Ctrl-C and errors leave nothing.
         """
-        for word in ("positions", "raw", "masked", "with_scan"):
+        for word in ("positions", "raw", "masked"):
             if word in keywords:
                 raise TypeError(f"{word} is about arrays; a file has its own form")
-        output = _arguments.output(format, scale, frame, split_by, overwrite)
+        output = _arguments.output(format, scale, frame, split_by, with_scan, overwrite)
         options = self._asked(keywords)
         report, notes = _esker.export(self._reader, options, path, output, _Listener(progress))
         for note in notes:
@@ -529,6 +533,43 @@ class Store(Reader):
         _check_keywords("show", keywords, ChangeKeywords.__annotations__)
         return self._changed(_esker.set_visible, self._named(scans), True, **keywords)
 
+    def ingest_points(
+        self, points: Any, name: str, *, progress: Optional[Progress] = None, **keywords: Any
+    ) -> Dict[str, Any]:
+        """Puts points in memory into the store, as a scan of that name; see :func:`esker.ingest_points`.
+
+        >>> found = store.query(where="Classification = 6", attributes=["Intensity"])
+        >>> report = store.ingest_points(found, "buildings")
+        >>> report["points"] == store.count(scans="buildings") == len(found)
+        True
+        >>> store.remove("buildings")["points"] == len(found)
+        True
+        """
+        self._check_open()
+        return ingest_points(self._path, points, name, progress=progress, **keywords)
+
+    def rename(self, scan: Union[str, int], name: str, **keywords: Unpack[ChangeKeywords]) -> str:
+        """Gives a scan another name; gives the old one.
+
+        >>> store.rename("site_3", "roof"), store.rename("roof", "site_3")
+        ('site_3', 'roof')
+        """
+        _check_keywords("rename", keywords, ChangeKeywords.__annotations__)
+        new = _arguments.text(name, "name")
+        if new is None:
+            raise TypeError("name must be a string, not None")
+        return str(self._changed(_esker.rename, self._named([scan])[0], new, **keywords))
+
+    def set_crs(self, crs: Any, force: bool = False, **keywords: Unpack[ChangeKeywords]) -> Optional[str]:
+        """Says in which coordinate reference system the site is: ``EPSG:N``, ``EPSG:N+V`` with a vertical one, WKT, or an
+        object with ``to_wkt``. No coordinate changes. Gives a description of the one before; one that is known to be
+        another takes ``force``."""
+        _check_keywords("set_crs", keywords, ChangeKeywords.__annotations__)
+        before: Optional[str] = self._changed(
+            _esker.set_crs, _arguments.crs_text(crs), _arguments.flag(force, "force"), **keywords
+        )
+        return before
+
     def compact(self, copy: Optional[PathLike] = None, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
         """Makes one layer of all and gives free space back; with ``copy``, in a new file."""
         _check_keywords("compact", keywords, ChangeKeywords.__annotations__)
@@ -627,6 +668,44 @@ def ingest(
     for note in report["notes"] + [f"{s['name']}: {w}" for s in report["scans"] for w in s["warnings"]]:
         _log.warning("%s", note)
     return report
+
+
+def ingest_points(
+    path: PathLike, points: Any, name: str, *, progress: Optional[Progress] = None, **keywords: Any
+) -> Dict[str, Any]:
+    """Puts points in memory into a store, which is made if it is not there, as a scan of that name; gives the report of
+    :func:`ingest`.
+
+    ``points`` are a structured array, a mapping of names to arrays (a table of pandas will do), an answer of
+    :meth:`Store.query`, or rows of x, y, z. ``x``, ``y`` and ``z`` (or ``X``, ``Y``, ``Z``) are world coordinates; points
+    where one is NaN or infinite are rejected and counted. All else is an attribute of its array's type, under the name that
+    a PLY file's would have: ``intensity`` is ``Intensity``.
+
+    ``quantum``, ``phase``, ``lattice``, ``memory``, ``threads``, ``wait``, ``crs``, ``ignore_crs``, ``strict``, ``progress``
+        As for :func:`ingest`.
+    ``poses``
+        One 4 x 4 matrix, for points in a scan's own frame.
+
+    The same points under any name are skipped, like a file that the store has.
+
+    >>> import numpy as np
+    >>> x = np.arange(1000) * 0.25
+    >>> made = {"x": x, "y": x % 10, "z": np.sin(x), "confidence": np.full(1000, 0.5, np.float32)}
+    >>> report = esker.ingest_points(folder + "/made.esker", made, "wave", quantum=0.001)
+    >>> [(scan["name"], scan["stored"], scan["positions"]) for scan in report["scans"]]
+    [('wave', 1000, 'rounded')]
+    """
+    if not isinstance(name, str) or not name.strip():
+        raise TypeError(f"name must be a string with a letter at least, not {name!r}")
+    _check_keywords("ingest_points", keywords, set(IngestKeywords.__annotations__) - _OF_FILES)
+    report = _changed(_esker.ingest_table, path, name, _arguments.table(points), progress=progress, **keywords)
+    for note in report["notes"] + [f"{s['name']}: {w}" for s in report["scans"] for w in s["warnings"]]:
+        _log.warning("%s", note)
+    return report
+
+
+#: Keywords of files, which points in memory are not.
+_OF_FILES = {"name", "columns", "recursive", "keep_going"}
 
 
 def merge(out: PathLike, stores: Sequence[PathLike], **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:

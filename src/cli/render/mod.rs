@@ -13,7 +13,7 @@ use crate::formats::{OutputFile, check_output};
 use crate::geometry::{Camera, DVec3, WorldBox};
 use crate::lattice::LatticeBox;
 use crate::points::{Batch, Crs};
-use crate::query::{Detail, Query, Region, flat_attributes, occupied_boxes};
+use crate::query::{Query, Region, flat_attributes, occupied_boxes};
 use crate::render::{ColorDepths, ColorMode, ColorOptions, Coloring};
 use crate::store::model::{Scan, ScanId};
 use crate::store::{Snapshot, Store, WorldBounds, info};
@@ -254,7 +254,7 @@ fn coloring(arguments: &Arguments, snapshot: &Snapshot, query: &Query) -> anyhow
         if uncolored && has("Intensity") {
             names.push("Intensity".into());
         }
-        let coarse = with_attributes(query.clone(), names).with_scans(true).detail(Detail::Level(0));
+        let coarse = with_attributes(query.clone(), names).with_scans(true).coarse_sample();
         coarse.run(snapshot, |batch| {
             sample.push(batch);
             std::ops::ControlFlow::Continue(())

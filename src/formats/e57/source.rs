@@ -6,7 +6,7 @@ use crate::formats::guard::catching;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::geometry::Pose;
 use crate::points::{Crs, counted};
-use e57::{E57Reader, PointCloud};
+use e57::{E57Reader, PointCloud, Record, RecordDataType, RecordName};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -56,19 +56,29 @@ pub fn open(file: SourceFile) -> Result<Vec<Box<dyn PointSource>>, FormatError> 
     if clouds.is_empty() {
         return Err(file.malformed(xml, "a scan in the file", format!("none ({pictures} pictures)")));
     }
-    let wkt = reader.e57.coordinate_metadata().filter(|text| text.contains('['));
-    let crs = wkt.map(|text| Crs { wkt: Some(text.trim().to_owned()), ..Crs::default() });
+    let named = reader.e57.coordinate_metadata().map(str::trim).filter(|text| !text.is_empty()).map(str::to_owned);
+    let crs = named.as_deref().and_then(crs_of);
     let opened = Arc::new(Opened { file, idle: Mutex::new(vec![reader]) });
     let mut sources: Vec<Box<dyn PointSource>> = Vec::with_capacity(clouds.len());
     for (index, cloud) in (0..).zip(clouds) {
         let mut source = E57Source::new(&opened, index, cloud, xml)?;
         source.info.crs.clone_from(&crs);
+        if let (0, Some(text), None) = (index, &named, &crs) {
+            let short: String = text.chars().take(60).collect();
+            source.info.warnings.push(format!("its CRS is not understood ('{short}'); --crs can say it"));
+        }
         if index == 0 && pictures > 0 {
             source.info.warnings.push(format!("{pictures} pictures in the file are not kept"));
         }
         sources.push(Box::new(source));
     }
     Ok(sources)
+}
+
+/// The CRS in a file's `coordinateMetadata`, which should be WKT; some programs write a code instead.
+fn crs_of(text: &str) -> Option<Crs> {
+    let is_number = text.bytes().all(|b| b.is_ascii_digit());
+    if is_number { Crs::parse(&format!("EPSG:{text}")) } else { Crs::parse(text) }
 }
 
 impl E57Source {
@@ -92,6 +102,10 @@ impl E57Source {
             let announced = counted(cloud.records, "point");
             info.warnings.push(format!("the scan announces {announced}, the file holds at most {found}"));
         }
+        let is_axis =
+            |r: &Record| matches!(r.name, RecordName::CartesianX | RecordName::CartesianY | RecordName::CartesianZ);
+        let is_single = |r: &Record| is_axis(r) && matches!(r.data_type, RecordDataType::Single { .. });
+        info.is_single = cloud.prototype.iter().any(is_single);
         info.index = index;
         info.scan_name = cloud.name.as_deref().map(str::trim).filter(|n| !n.is_empty()).map(str::to_owned);
         if let Some(t) = &cloud.transform {

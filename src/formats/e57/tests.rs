@@ -326,3 +326,34 @@ fn points_without_bits_and_lying_counts_come_to_an_end() {
     replaced("recordCount=\"5\"", "recordCount=\"9\"");
     assert!(records(&*sources(&path).unwrap()[0]).is_err());
 }
+
+/// All but WKT was dropped without a word, and a scan of another zone went into the store.
+#[test]
+fn the_crs_is_known_in_every_form_that_programs_write() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.e57");
+    let names = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+    let with = |text: Option<&str>, ty: RecordDataType, value: RecordValue| {
+        let mut writer = E57Writer::from_file(&path, "file").unwrap();
+        writer.set_coordinate_metadata(text.map(str::to_owned));
+        let mut scan = writer.add_pointcloud("s", names.clone().map(|n| record(n, ty.clone())).to_vec()).unwrap();
+        scan.add_point(vec![value; 3]).unwrap();
+        scan.finalize().unwrap();
+        writer.finalize().unwrap();
+        sources(&path).unwrap().remove(0).info().clone()
+    };
+    let double = |text| with(text, RecordDataType::F64, RecordValue::Double(1.0));
+    let wkt = r#"PROJCS["ETRS89 / UTM zone 33N",UNIT["metre",1],AUTHORITY["EPSG","25833"]]"#;
+    for text in [wkt, "EPSG:25833", " epsg:25833\n", "urn:ogc:def:crs:EPSG::25833", "25833"] {
+        let info = double(Some(text));
+        assert_eq!(info.crs.unwrap().horizontal_epsg, Some(25833), "{text}");
+        assert!(info.warnings.is_empty(), "{text}: {:?}", info.warnings);
+    }
+    let info = double(Some("+proj=utm +zone=33 +units=us-ft"));
+    assert_eq!(info.crs, None);
+    assert!(info.warnings[0].contains("its CRS is not understood ('+proj=utm"), "{:?}", info.warnings);
+    let info = double(None);
+    assert!(info.crs.is_none() && info.warnings.is_empty() && !info.is_single);
+    // Floats of 32 bits are known as such.
+    assert!(with(None, RecordDataType::F32, RecordValue::Single(1.0)).is_single);
+}

@@ -8,7 +8,7 @@ use crate::formats::las::even_pieces;
 use crate::formats::ply::{self, Conversion};
 use crate::formats::text::{Chunk, Coordinates, Place, Separator, Table, count_rows, first_row};
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
-use crate::points::counted;
+use crate::points::{ScalarType, counted};
 use std::sync::{Arc, OnceLock};
 
 /// Bytes given to a sink at a time.
@@ -110,6 +110,9 @@ pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
     }
     let mut info = SourceInfo::new(file.path(), "pcd", found, missing, fields.layout);
     info.pose = header.viewpoint;
+    let is_axis = |name: &str| ["x", "y", "z"].iter().any(|axis| name.eq_ignore_ascii_case(axis));
+    info.is_single =
+        header.fields.iter().any(|f| is_axis(&f.name) && f.ty == ScalarType::F32) && header.encoding != Encoding::Ascii;
     info.warnings = warnings;
     Ok(Box::new(PcdSource { file, info, points }))
 }

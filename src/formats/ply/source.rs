@@ -2,12 +2,13 @@
 
 use super::ascii::Words;
 use super::binary::{Conversion, Stop, Values, to_f64};
-use super::header::{Element, Encoding, Header, Kind};
+use super::header::{Element, Encoding, Header, Kind, Property};
 use super::layout::{Target, record_layout};
 use super::lines::{TextLines, skip_text};
 use crate::formats::file::SourceFile;
 use crate::formats::las::even_pieces;
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
+use crate::points::ScalarType;
 use std::sync::OnceLock;
 
 /// Bytes given to a sink at a time.
@@ -83,7 +84,13 @@ impl PlySource {
         if found < element.count {
             warnings.push(format!("the header announces {} vertices, the file holds at most {found}", element.count));
         }
-        let info = SourceInfo { warnings, ..SourceInfo::new(file.path(), "ply", found, element.count - found, layout) };
+        let is_single = |(property, target): (&Property, &Target)| {
+            matches!((property.kind, target), (Kind::Scalar(ScalarType::F32), Target::Axis(_)))
+        };
+        // Text has as many digits as it has.
+        let is_single = header.encoding != Encoding::Ascii && element.properties.iter().zip(&targets).any(is_single);
+        let missing = element.count - found;
+        let info = SourceInfo { warnings, is_single, ..SourceInfo::new(file.path(), "ply", found, missing, layout) };
         Ok(Self { file, info, header, vertex, targets, records, beyond: OnceLock::new() })
     }
 

@@ -75,11 +75,14 @@ fn role(name: &str, i: usize) -> Role {
     let fold = |text: &str| -> String {
         text.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
     };
-    // `Easting (m)`, `Z [ft]`.
-    match &*fold(name.split(['(', '[']).next().unwrap_or(name)) {
-        "x" | "xcoord" | "xcoordinate" | "pointx" | "easting" | "east" => return Role::Axis(0),
-        "y" | "ycoord" | "ycoordinate" | "pointy" | "northing" | "north" => return Role::Axis(1),
-        "z" | "zcoord" | "zcoordinate" | "pointz" | "elevation" | "elev" | "altitude" | "height" => {
+    // `Easting (m)`, `Z [ft]`; as surveyors write in German, too.
+    let word = name.split(['(', '[']).next().unwrap_or(name).replace(['ö', 'Ö'], "oe");
+    match &*fold(&word) {
+        "x" | "xcoord" | "xcoordinate" | "pointx" | "easting" | "east" | "rechtswert" | "ostwert" | "longitude"
+        | "lon" => return Role::Axis(0),
+        "y" | "ycoord" | "ycoordinate" | "pointy" | "northing" | "north" | "hochwert" | "nordwert" | "latitude"
+        | "lat" => return Role::Axis(1),
+        "z" | "zcoord" | "zcoordinate" | "pointz" | "elevation" | "elev" | "altitude" | "height" | "hoehe" => {
             return Role::Axis(2);
         }
         _ => {}

@@ -58,7 +58,7 @@ pub fn comes_back(word: &[u8], value: f64) -> bool {
     written.bytes().take_while(|&b| b != b'e').filter(u8::is_ascii_digit).eq(digits.iter().copied())
 }
 
-/// Reads a number; a comma is a point where `comma` says so. Empty words and `NA` are NaN.
+/// Reads a number; a comma is a point where `comma` says so. Empty words and `NA` are NaN. (`-` may be the beginning of a number whose line is cut.)
 #[inline]
 pub fn parse(word: &[u8], comma: bool) -> Option<Number> {
     let (negative, digits) = match word {
@@ -109,7 +109,7 @@ fn slow(word: &[u8], comma: bool) -> Option<Number> {
     } else {
         text
     };
-    let missing = text.is_empty() || ["na", "n/a", "null"].iter().any(|n| text.eq_ignore_ascii_case(n));
+    let missing = text.is_empty() || ["na", "n/a", "null", "none"].iter().any(|n| text.eq_ignore_ascii_case(n));
     let value = if missing { f64::NAN } else { text.parse().ok().or_else(|| odd_float(text))? };
     Some(Number { value, decimal: None })
 }
@@ -137,7 +137,7 @@ mod tests {
 
     #[test]
     fn what_is_no_number_is_refused() {
-        for word in ["", "NA", "n/a", "nan", "-nan(ind)", "NULL"] {
+        for word in ["", "NA", "n/a", "nan", "-nan(ind)", "NULL", "none"] {
             assert!(parse(word.as_bytes(), false).unwrap().value.is_nan(), "{word}");
         }
         for word in [".", "-", "+", "1.2.3", "0x10", "1,5", "abc", "1e", "--1", "1 2"] {

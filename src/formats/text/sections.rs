@@ -75,7 +75,7 @@ pub fn ptx(file: &SourceFile, start: u64) -> Result<Vec<Section>, FormatError> {
 /// The block whose header begins with these two lines.
 fn header(file: &SourceFile, columns: &Mark, rows: &Mark) -> Result<Section, FormatError> {
     let mut lines = Lines::new(file, rows.end, file.bytes());
-    let mut matrix = [[0.0; 4]; 4];
+    let (mut matrix, mut transform) = ([[0.0; 4]; 4], columns.start);
     // The scanner's place and axes say what the transform says again.
     for number in 0..8_usize {
         let width = if number < 4 { 3 } else { 4 };
@@ -90,6 +90,9 @@ fn header(file: &SourceFile, columns: &Mark, rows: &Mark) -> Result<Section, For
                 break (numbers, line.offset, quoted(&shown[..shown.len().min(40)]));
             }
         };
+        if number == 4 {
+            transform = offset;
+        }
         match numbers.as_deref() {
             Some(numbers) if numbers.len() == width => {
                 if let (Some(row), 4..) = (number.checked_sub(4), number) {
@@ -98,6 +101,11 @@ fn header(file: &SourceFile, columns: &Mark, rows: &Mark) -> Result<Section, For
             }
             _ => return Err(file.malformed_line(offset, format!("{width} numbers of a block's header"), shown)),
         }
+    }
+    if matrix.iter().map(|row| row[3]).ne([0.0, 0.0, 0.0, 1.0]) {
+        let expected =
+            "a transform whose last column is 0, 0, 0, 1 (PTX has row vectors: the translation is its last row)";
+        return Err(file.malformed_line(transform, expected, format!("{:?}", matrix.map(|row| row[3]))));
     }
     // The file has row vectors: the translation is its last row.
     let m: [f64; 16] = std::array::from_fn(|i| matrix[i % 4][i / 4]);

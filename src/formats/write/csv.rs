@@ -1,7 +1,7 @@
-//! CSV out: a line of names, then a line per point.
+//! Text out: as CSV, a line of names, then a line per point; as XYZ, blanks for commas and no names.
 //!
 //! X, Y and Z are the exact decimals that the coordinates are. An attribute with a scaling is written as its real value
-//! (`raw * scale + offset`, in decimal where the raw value is an integer), one that is its no-data value as nothing. All
+//! (`raw * scale + offset`, in decimal where the raw value is an integer), one that is its no-data value as nothing (NaN in XYZ). All
 //! others are written as they are stored, floats as the shortest text that reads back as the same number.
 
 use super::destination::Destination;
@@ -46,8 +46,27 @@ impl CsvSink {
     }
 }
 
-/// Writes a CSV file.
+/// How lines are made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lines {
+    /// Commas, and names in the first line.
+    Csv,
+    /// Blanks, and points from the first line on, as most programs read it.
+    Xyz,
+}
+
+impl Lines {
+    fn separator(self) -> u8 {
+        match self {
+            Self::Csv => b',',
+            Self::Xyz => b' ',
+        }
+    }
+}
+
+/// Writes a CSV or XYZ file.
 pub(super) struct CsvWriter {
+    lines: Lines,
     axes: [Exact; 3],
     attributes: Arc<[Attribute]>,
     /// How each scaled attribute is printed.
@@ -65,8 +84,8 @@ enum Scaled {
 }
 
 impl CsvWriter {
-    /// Begins a file with its line of names.
-    pub fn create(sink: CsvSink, plan: &OutputPlan) -> Result<Self, FormatError> {
+    /// Begins a file, with its line of names if it has one.
+    pub fn create(sink: CsvSink, plan: &OutputPlan, lines: Lines) -> Result<Self, FormatError> {
         let axis = |axis| {
             Exact::of_axis(&plan.lattice, axis).ok_or_else(|| FormatError::Unwritable {
                 path: sink.shown().into(),
@@ -74,24 +93,34 @@ impl CsvWriter {
             })
         };
         let axes = [axis(0)?, axis(1)?, axis(2)?];
-        let mut text = b"X,Y,Z".to_vec();
+        let mut text = [b'X', lines.separator(), b'Y', lines.separator(), b'Z'].to_vec();
         let mut notes = Vec::new();
         for name in distinct(&plan.attributes, ["X", "Y", "Z"], |a| a.name.clone(), "column", &mut notes) {
-            text.push(b',');
+            text.push(lines.separator());
             push_name(&mut text, &name);
         }
         text.push(b'\n');
+        if lines == Lines::Xyz {
+            if !plan.attributes.is_empty() {
+                notes.push(format!("the columns are {}", String::from_utf8_lossy(&text).trim_end()));
+            }
+            text.clear();
+        }
         let scaled = plan.attributes.iter().map(|a| {
             let scaling = a.scaling?;
             Some(Exact::of_scaling(scaling).map_or(Scaled::Float(scaling), Scaled::Exact))
         });
-        Ok(Self { axes, attributes: plan.attributes.clone(), scaled: scaled.collect(), text, notes, sink })
+        Ok(Self { axes, attributes: plan.attributes.clone(), scaled: scaled.collect(), text, notes, sink, lines })
     }
 
     fn push_value(&mut self, column: usize, values: &Column, i: usize) {
         let attribute = &self.attributes[column];
         let size = attribute.ty.size();
         if attribute.no_data.is_some_and(|no_data| no_data[..size] == values.raw(i)[..size]) {
+            if self.lines == Lines::Xyz {
+                // Blanks next to each other are one.
+                self.text.extend_from_slice(b"NaN");
+            }
             return;
         }
         let out = &mut self.text;
@@ -142,16 +171,17 @@ impl PointWriter for CsvWriter {
     }
 
     fn write(&mut self, batch: &Batch) -> Result<(), FormatError> {
+        let separator = self.lines.separator();
         let positions = [&batch.positions.x, &batch.positions.y, &batch.positions.z];
         for i in 0..batch.len() {
             for axis in 0..3 {
                 if axis > 0 {
-                    self.text.push(b',');
+                    self.text.push(separator);
                 }
                 self.axes[axis].push_index(&mut self.text, positions[axis][i]);
             }
             for (column, values) in batch.columns.iter().enumerate() {
-                self.text.push(b',');
+                self.text.push(separator);
                 self.push_value(column, values, i);
             }
             self.text.push(b'\n');

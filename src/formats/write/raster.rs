@@ -19,6 +19,7 @@ fn no_data(values: &[f64]) -> f64 {
 
 /// The form of a raster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum RasterFormat {
     /// ESRI's text grid of the first band: six lines that say where it is, then a line for each row, north first.
     Asc,

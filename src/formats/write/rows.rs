@@ -4,7 +4,7 @@ use crate::points::{Column, angle_steps};
 use std::ops::Range;
 
 /// How the values of a column become bytes of a record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Put {
     /// Little-endian, as they are.
     Whole,
@@ -19,10 +19,17 @@ pub(super) enum Put {
     Degrees,
     /// A `u8` colour, added to a `u16` times 257.
     Color,
+    /// Any number, less `low` and times `factor`, as the nearest `u16`; NaN as 0.
+    Scaled {
+        /// What becomes 0.
+        low: f64,
+        /// Steps of 1.
+        factor: f64,
+    },
 }
 
 /// A column's place in a record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Slot {
     /// Which column of the batch.
     pub column: usize,
@@ -86,6 +93,13 @@ pub(super) fn put(
         (Put::Color, Column::U8(values)) => {
             for (row, &value) in rows.chunks_exact_mut(stride).zip(&values[range]) {
                 add(&mut row[at..at + 2], u16::from(value) * 257);
+            }
+        }
+        (Put::Scaled { low, factor }, column) => {
+            for (row, i) in rows.chunks_exact_mut(stride).zip(range) {
+                // Beyond its ends, and of NaN, the conversion gives the nearest number and 0.
+                let value = ((column.as_f64(i) - low) * factor).round() as u16;
+                row[at..at + 2].copy_from_slice(&value.to_le_bytes());
             }
         }
         (Put::Whole, Column::U8(v)) => whole!(v),
@@ -159,6 +173,16 @@ mod tests {
         assert_eq!(rows, [0x71, 0x0F, 0x23]);
         let refused = put(slot(0, 15), &Column::U8(vec![1, 200, 3]), 0..3, &mut rows, 1);
         assert_eq!(refused, Err(TooLarge { value: 200, largest: 15 }));
+    }
+
+    #[test]
+    fn scaled_numbers_are_the_nearest_in_16_bits() {
+        let mut rows = [7; 12];
+        let slot = Slot { column: 0, offset: 0, put: Put::Scaled { low: -1.0, factor: 100.0 } };
+        let values = Column::F32(vec![-1.0, -5.0, 0.004, f32::NAN, 1e9, f32::INFINITY]);
+        put(slot, &values, 0..6, &mut rows, 2).unwrap();
+        let found: Vec<_> = rows.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
+        assert_eq!(found, [0, 0, 100, 0, u16::MAX, u16::MAX]);
     }
 
     #[test]

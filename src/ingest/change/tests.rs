@@ -149,7 +149,13 @@ fn an_added_scan_reads_and_writes_the_nodes_that_receive_points() {
             let store = Store::open(&store_path)?;
             let mut writer = context.writer(&store)?;
             let held = store.snapshot()?;
-            let sources = sources::open(std::slice::from_ref(&case.patch), &options(), held.scans(), &())?.sources;
+            let sources = sources::open(
+                &sources::Inputs::Files(std::slice::from_ref(&case.patch)),
+                &options(),
+                held.scans(),
+                &(),
+            )?
+            .sources;
             let batch = Batch {
                 sources: &sources,
                 measured: &[None],

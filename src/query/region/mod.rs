@@ -181,6 +181,16 @@ impl Region {
         Self::Not(Box::new(self))
     }
 
+    /// Are its numbers as the constructors ask for? The variants can be made without these.
+    fn check(&self) -> Result<(), QueryError> {
+        match self {
+            Self::Box { min, max } => Self::new_box(*min, *max).map(drop),
+            Self::Sphere { center, radius } => Self::new_sphere(*center, *radius).map(drop),
+            Self::Prism { z, .. } => ordered("z", "prism", z[0], z[1]),
+            _ => Ok(()),
+        }
+    }
+
     /// Is it a box, or what is in one of several?
     pub(crate) fn is_of_boxes(&self) -> bool {
         match self {

@@ -66,6 +66,7 @@ impl LatticeRegion {
 impl Kind {
     fn new(region: &Region, lattice: &Lattice) -> Result<Self, QueryError> {
         let each = |terms: &[Region]| terms.iter().map(|t| Self::new(t, lattice)).collect::<Result<Vec<_>, _>>();
+        region.check()?;
         Ok(match region {
             Region::Everything => Self::Everything,
             Region::Box { min, max } => lattice.box_from_world(*min, *max).map_or(Self::Nothing, Self::Box),

@@ -34,7 +34,7 @@ impl Model {
             }
             Command::Mode(mode) => {
                 let now = self.nav.rig.mode;
-                self.nav.rig.mode = if now == mode && mode == Mode::Walk { Mode::Fly } else { mode };
+                self.set_mode(if now == mode && mode == Mode::Walk { Mode::Fly } else { mode });
             }
             Command::Measure => {
                 self.measuring = !self.measuring;
@@ -64,11 +64,22 @@ impl Model {
         }
     }
 
+    /// Moves in another way. Who begins to walk looks ahead.
+    pub fn set_mode(&mut self, mode: Mode) {
+        if mode == Mode::Walk && self.nav.rig.mode != mode {
+            self.nav.rig.level();
+        }
+        self.nav.rig.mode = mode;
+    }
+
     /// Keeps the view under the name that was typed, or a new one.
     fn bookmark(&mut self, aspect: f64) {
         let typed = self.bookmark_name.trim().to_owned();
         let taken = |name: &str| self.site.as_ref().is_some_and(|s| s.bookmarks.iter().any(|(n, _)| n == name));
         let numbered = || (1..).map(|i| format!("view {i}")).find(|name| !taken(name)).unwrap_or_default();
+        if taken(&typed) {
+            return self.tell(format!("There is a view '{typed}' already: give another name, or remove that one"));
+        }
         let name = if typed.is_empty() { numbered() } else { typed };
         if let Ok(camera) = self.nav.rig.camera(size_of_aspect(aspect)) {
             self.actions.push(Action::SaveBookmark(name, Box::new(camera)));
@@ -97,15 +108,20 @@ impl Model {
     }
 
     /// The point under the pointer was clicked, or nothing was.
-    pub fn click(&mut self, click: Click) {
+    pub fn click(&mut self, click: Click, aspect: f64) {
         let Some(found) = self.hover.clone() else { return };
+        let onto = self.onto(aspect);
         match click {
-            Click::Double => self.nav.rig.go_to(found.world),
+            Click::Double => self.nav.rig.go_to(found.world, onto),
             Click::Single if self.measuring => {
                 self.measured.add(found.world);
                 self.picked = Some(found);
             }
             Click::Single => {
+                // The first one shows where what is stored of it is to be seen; whoever closes that keeps it closed.
+                if self.picked.is_none() {
+                    self.open.insert(Section::Point);
+                }
                 self.picked = Some(found);
             }
         }

@@ -82,7 +82,7 @@ impl Model {
     }
 
     /// Hides the classes that are off.
-    fn class_filter(&self) -> Option<Filter> {
+    pub fn class_filter(&self) -> Option<Filter> {
         let there = self.site.as_ref().is_some_and(|s| s.has("Classification"));
         if self.classes_off.is_empty() || !there {
             return None;

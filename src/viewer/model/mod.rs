@@ -31,7 +31,7 @@ pub enum Action {
     SaveBookmark(String, Box<Camera>),
     /// Take it out of the store.
     RemoveBookmark(String),
-    /// The points of a box to a file.
+    /// The points of a box that are seen to a file: of the scans and the classes that are on.
     Export(WorldBox, PathBuf),
     /// Full screen or not.
     FullScreen,
@@ -51,6 +51,17 @@ pub struct Clip {
 }
 
 impl Clip {
+    /// To so many digits behind the point: what is shown is what is used.
+    pub fn round(&mut self, decimals: usize) {
+        let power = 10_f64.powi(decimals as i32);
+        for value in self.min.iter_mut().chain(&mut self.max) {
+            let rounded = (*value * power).round() / power;
+            if rounded.is_finite() {
+                *value = rounded;
+            }
+        }
+    }
+
     /// As a box; `None` if it has no volume.
     pub fn bounds(&self) -> Option<WorldBox> {
         WorldBox::new(self.min, self.max).filter(|b| b.extent().min_element() > 0.0)
@@ -281,22 +292,31 @@ impl Model {
     }
 
     /// A box around what is looked at.
-    pub fn add_clip(&mut self) {
+    pub fn add_clip(&mut self, aspect: f64) {
         if self.clips.len() >= MAX_CLIPS {
             return self.tell(format!("There are {MAX_CLIPS} boxes already, the most that there can be"));
         }
         let rig = &self.nav.rig;
         let middle = match &self.picked {
             Some(found) => found.world,
-            None => rig.eye() + rig.forward() * rig.distance(),
+            None => rig.looked_at(self.onto(aspect)),
         };
         let half = DVec3::splat((rig.distance() * 0.25).max(1e-6));
-        self.clips.push(Clip {
-            min: (middle - half).to_array(),
-            max: (middle + half).to_array(),
-            keep: true,
-            on: true,
-        });
+        let mut clip = Clip { min: (middle - half).to_array(), max: (middle + half).to_array(), keep: true, on: true };
+        clip.round(self.decimals());
+        self.clips.push(clip);
+    }
+
+    /// Digits behind the point that coordinates of the store have.
+    pub fn decimals(&self) -> usize {
+        let quantum = self.site.as_ref().map(|site| site.lattice.quantum());
+        let digits = quantum.into_iter().flatten().map(|step| (-step.exponent()).clamp(0, 9) as usize);
+        digits.max().unwrap_or(3)
+    }
+
+    /// A coordinate with these digits.
+    pub fn coordinate(&self, value: f64) -> String {
+        format!("{value:.*}", self.decimals())
     }
 }
 
@@ -385,37 +405,65 @@ mod tests {
             })
             .collect();
         assert_eq!(names, ["view 1", "door"]);
+        // One that is there is not lost.
+        let camera = model.nav.rig.camera([300, 200]).unwrap();
+        if let Some(site) = &mut model.site {
+            site.bookmarks.push(("door".into(), camera));
+        }
+        model.bookmark_name = "door".into();
+        model.command(Command::Bookmark, 1.5);
+        assert_eq!(model.actions.len(), 2);
+        assert!(model.message().unwrap().contains("'door' already"));
+        model.bookmark_name.clear();
         assert!(model.bookmark_name.is_empty());
     }
 
     #[test]
     fn clicks_measure_pick_and_go() {
         let mut model = model();
-        model.click(Click::Single);
+        model.click(Click::Single, 1.5);
         assert_eq!(model.picked, None, "nothing was under the pointer");
         let found = Found { world: DVec3::new(12.0, 3.0, 1.0), values: Vec::new() };
         model.hover = Some(found.clone());
-        model.click(Click::Single);
+        model.click(Click::Single, 1.5);
         assert_eq!((model.picked.as_ref(), model.measured.points().len()), (Some(&found), 0));
         model.key(Key::M, true, 1.5);
-        model.click(Click::Single);
-        model.click(Click::Single);
+        model.click(Click::Single, 1.5);
+        model.click(Click::Single, 1.5);
         model.key(Key::Backspace, true, 1.5);
         assert_eq!(model.measured.points().len(), 1);
         model.key(Key::Escape, true, 1.5);
         model.key(Key::Escape, true, 1.5);
         assert!(!model.measuring && !model.help);
-        model.click(Click::Double);
+        model.click(Click::Double, 1.5);
         while model.advance(0.1) {}
         let (to, forward) = (found.world - model.nav.rig.eye(), model.nav.rig.forward());
         assert!(to.normalize().dot(forward) > 0.999_999, "what was double-clicked is in the middle");
     }
 
     #[test]
+    fn a_box_lies_where_the_panels_leave_the_picture_free_in_whole_steps() {
+        let mut model = model();
+        model.set_free_area(ImageArea::new([0.0, 0.1], [0.6, 1.0]), 1.5);
+        model.key(Key::Digit(1), true, 1.5);
+        while model.advance(0.1) {}
+        model.add_clip(1.5);
+        let clip = model.clips[0].bounds().unwrap();
+        let site = model.seen_bounds().unwrap().center();
+        let off = (clip.center() - site).truncate().length();
+        assert!(off < 0.05 * clip.extent().x, "{off}: the site is fitted into the free part");
+        for value in model.clips[0].min.iter().chain(&model.clips[0].max) {
+            assert_eq!(model.coordinate(*value).parse::<f64>().unwrap(), *value);
+        }
+        model.key(Key::G, true, 1.5);
+        assert!(model.nav.rig.forward().z.abs() < 1e-9, "who walks looks ahead");
+    }
+
+    #[test]
     fn boxes_are_drawn_when_they_have_a_volume() {
         let mut model = model();
         for _ in 0..MAX_CLIPS + 2 {
-            model.add_clip();
+            model.add_clip(1.5);
         }
         assert_eq!((model.clips.len(), model.options().clips.len()), (MAX_CLIPS, MAX_CLIPS));
         model.clips[0].on = false;
@@ -429,6 +477,12 @@ mod tests {
         model.key(Key::Digit(1), true, 1.5);
         while model.advance(0.1) {}
         let camera = model.nav.rig.camera([300, 200]).unwrap();
+        // It leaned by a degree, and so did every house in the plan.
+        assert_eq!(camera.forward(), -DVec3::Z);
+        assert_eq!(
+            (Rig::of(&camera).forward(), Rig::of(&camera).camera([300, 200]).unwrap().up()),
+            (-DVec3::Z, camera.up())
+        );
         let middle = model.seen_bounds().unwrap().center();
         let px = |p: DVec3| camera.pixel_from_relative(p - camera.eye()).unwrap();
         let (center, north) = (px(middle), px(middle + DVec3::Y));

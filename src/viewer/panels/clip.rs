@@ -5,14 +5,15 @@ use super::mark;
 use egui::{DragValue, Ui};
 use std::path::PathBuf;
 
-pub(super) fn show(ui: &mut Ui, model: &mut Model) {
+pub(super) fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
     let response = ui.button("Add a box here").on_hover_text("Around the clicked point, or what is looked at");
     mark(model, "clip.add", &response);
     if response.clicked() {
-        model.add_clip();
+        model.add_clip(aspect);
     }
     let mut gone = None;
     let mut export = None;
+    let decimals = model.decimals();
     let mut clips = std::mem::take(&mut model.clips);
     for (i, clip) in clips.iter_mut().enumerate() {
         ui.separator();
@@ -24,17 +25,22 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
                 gone = Some(i);
             }
         });
+        let mut changed = false;
         let speed = (0..3).map(|a| (clip.max[a] - clip.min[a]).abs()).fold(0.0, f64::max).max(1e-6) * 0.005;
         egui::Grid::new(("clip", i)).show(ui, |ui| {
             for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
                 ui.label(name);
-                ui.add(DragValue::new(&mut clip.min[axis]).speed(speed).max_decimals(3));
-                ui.add(DragValue::new(&mut clip.max[axis]).speed(speed).max_decimals(3));
+                let min = ui.add(DragValue::new(&mut clip.min[axis]).speed(speed).fixed_decimals(decimals));
+                let max = ui.add(DragValue::new(&mut clip.max[axis]).speed(speed).fixed_decimals(decimals));
+                changed |= min.changed() || max.changed();
                 ui.end_row();
             }
         });
+        if changed {
+            clip.round(decimals);
+        }
         ui.horizontal(|ui| {
-            let hint = "All points of the store in this box, of the scans that are seen, at full detail";
+            let hint = "All points of the store in this box, of the scans and classes that are on, at full detail";
             let ready = clip.bounds().is_some();
             let response = ui.add_enabled(ready, egui::Button::new("Export")).on_hover_text(hint);
             mark(model, format!("clip.export.{}", i + 1), &response);

@@ -92,7 +92,10 @@ fn show_legend(ui: &mut Ui, model: &mut Model, legend: &Legend, classes: bool) {
     }
     if !classes && !model.classes_off.is_empty() {
         ui.horizontal(|ui| {
-            ui.weak(format!("{} classes are off", model.classes_off.len()));
+            ui.weak(match model.classes_off.len() {
+                1 => "1 class is off".to_owned(),
+                several => format!("{several} classes are off"),
+            });
             if ui.small_button("all on").clicked() {
                 model.classes_off.clear();
             }

@@ -36,7 +36,7 @@ pub fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
         [(at.x - all.min.x) / all.width(), (at.y - all.min.y) / all.height()].map(|p| f64::from(p).clamp(0.0, 1.0))
     };
     model.set_free_area(ImageArea::new(part(free.min), part(free.max)), aspect);
-    overlay::show(ui, model, aspect);
+    overlay::show(ui, model, aspect, free);
     if model.help {
         help::show(ui.ctx(), model, free, aspect);
     }
@@ -62,7 +62,7 @@ fn show_section(ui: &mut Ui, model: &mut Model, section: Section, aspect: f64) {
             Section::Scans => scans::show(ui, model),
             Section::Color => color::show(ui, model),
             Section::Quality => quality::show(ui, model),
-            Section::Clip => clip::show(ui, model),
+            Section::Clip => clip::show(ui, model, aspect),
             Section::Measure => point::measure(ui, model),
             Section::Places => places::show(ui, model, aspect),
             Section::Point => point::show(ui, model),
@@ -91,7 +91,7 @@ fn top(ui: &mut Ui, model: &mut Model, aspect: f64) {
                 let response = ui.selectable_label(mode == which, text).on_hover_text(hint);
                 mark(model, format!("mode.{}", text.to_lowercase()), &response);
                 if response.clicked() {
-                    model.nav.rig.mode = which;
+                    model.set_mode(which);
                 }
             }
             ui.separator();
@@ -160,15 +160,21 @@ fn bottom(ui: &mut Ui, model: &mut Model) {
                 // Nothing is drawn anew while nothing changes, so frames a second would say little.
                 ui.label(format!("{:.0} ms a frame", model.times.work.as_secs_f64() * 1e3));
                 if let Some(found) = &model.hover {
-                    let [x, y, z] = found.world.to_array();
-                    ui.label(RichText::new(format!("{x:.3}  {y:.3}  {z:.3}")).monospace());
+                    let coordinates = found.world.to_array().map(|value| model.coordinate(value));
+                    ui.label(RichText::new(coordinates.join("  ")).monospace());
                 }
             });
         });
     });
     if let Some(words) = model.message() {
-        egui::Area::new(egui::Id::unique("message")).anchor(Align2::CENTER_TOP, [0.0, 44.0]).show(ui.ctx(), |ui| {
-            egui::Frame::popup(ui.style()).show(ui, |ui| ui.label(words));
+        // A long one takes lines, not the height of the window.
+        let width = (ui.ctx().content_rect().width() * 0.6).clamp(120.0, 560.0);
+        let area = egui::Area::new(egui::Id::unique("message")).anchor(Align2::CENTER_TOP, [0.0, 44.0]);
+        area.default_width(width).show(ui.ctx(), |ui| {
+            egui::Frame::popup(ui.style()).show(ui, |ui| {
+                ui.set_max_width(width);
+                ui.label(words);
+            });
         });
     }
 }

@@ -6,12 +6,13 @@ use egui::{Align2, Color32, FontId, Pos2, Stroke, Ui};
 
 const MEASURE: Color32 = Color32::from_rgb(255, 214, 90);
 
-pub(super) fn show(ui: &Ui, model: &Model, aspect: f64) {
+/// `free` is what the panels leave of the picture.
+pub(super) fn show(ui: &Ui, model: &Model, aspect: f64, free: egui::Rect) {
     let rect = ui.ctx().content_rect();
     let height = 1000_u32;
     let width = (f64::from(height) * aspect).round().max(1.0) as u32;
     let Ok(camera) = model.nav.rig.camera([width, height]) else { return };
-    let painter = ui.ctx().layer_painter(egui::LayerId::background());
+    let painter = ui.ctx().layer_painter(egui::LayerId::background()).with_clip_rect(free);
     let scale = rect.height() / height as f32;
     let place = |point: DVec3| -> Option<Pos2> {
         let [x, y, _] = camera.pixel_from_relative(point - camera.eye())?;

@@ -10,9 +10,10 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
         let field = egui::TextEdit::singleline(&mut model.bookmark_name).hint_text("name").desired_width(130.0);
         let response = ui.add(field);
         mark(model, "bookmark.name", &response);
+        let entered = response.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
         let response = ui.button("Keep this view").on_hover_text("In the store, for everybody (B)");
         mark(model, "bookmark.save", &response);
-        if response.clicked() {
+        if response.clicked() || entered {
             model.command(Command::Bookmark, aspect);
         }
     });
@@ -20,17 +21,19 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model, aspect: f64) {
     let bookmarks = site.bookmarks.clone();
     let stations: Vec<_> = site.stations().map(|(name, place)| (name.to_owned(), place)).collect();
     for (name, camera) in bookmarks {
-        ui.horizontal(|ui| {
-            let response = ui.button(&name);
-            mark(model, format!("bookmark.{name}"), &response);
+        // From the right, so that a long name is cut and nothing is pushed out.
+        let row = egui::vec2(ui.available_width(), ui.spacing().interact_size.y);
+        ui.allocate_ui_with_layout(row, egui::Layout::right_to_left(egui::Align::Center), |ui| {
+            let response = ui.small_button("remove");
+            mark(model, format!("bookmark.remove.{name}"), &response);
             if response.clicked() {
-                model.nav.rig.fly_to(&camera);
+                model.actions.push(Action::RemoveBookmark(name.clone()));
             }
-            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
-                let response = ui.small_button("remove");
-                mark(model, format!("bookmark.remove.{name}"), &response);
+            ui.with_layout(egui::Layout::left_to_right(egui::Align::Center), |ui| {
+                let response = ui.add(egui::Button::new(&name).truncate()).on_hover_text(&name);
+                mark(model, format!("bookmark.{name}"), &response);
                 if response.clicked() {
-                    model.actions.push(Action::RemoveBookmark(name.clone()));
+                    model.nav.rig.fly_to(&camera);
                 }
             });
         });

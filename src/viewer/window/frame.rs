@@ -10,7 +10,7 @@ use crate::viewer::model::{Action, Model};
 use crate::viewer::panels;
 use crate::viewer::rig::Mode;
 use crate::viewer::site::ScanFacts;
-use crate::viewer::work::{Job, News};
+use crate::viewer::work::{Job, News, Wanted};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use winit::window::Fullscreen;
@@ -60,7 +60,7 @@ impl Viewer {
             && !open.pick_due
             && let Some(click) = self.clicked.take()
         {
-            model.click(click);
+            model.click(click, aspect);
         }
 
         let times = &mut model.times;
@@ -147,8 +147,9 @@ impl Viewer {
                     let seen = |s: &&ScanFacts| self.model.scans.sees(s.id, s.visible);
                     let scans = site
                         .map_or_else(Vec::new, |site| site.scans.iter().filter(seen).map(|s| s.name.clone()).collect());
+                    let wanted = Wanted { bounds, scans, filter: self.model.class_filter() };
                     self.model.tell(format!("Writing {} ...", path.display()));
-                    self.worker.ask(Job::Export(bounds, scans, path));
+                    self.worker.ask(Job::Export(Box::new(wanted), path));
                 }
                 Action::FullScreen => {
                     if let Some(open) = &self.open {

@@ -11,6 +11,7 @@ use super::gpu::Gpu;
 use super::model::Model;
 use super::navigate::{Button, Click};
 use super::remembered::Remembered;
+use super::rig::Mode;
 use super::script::Step;
 use super::work::{Exporter, Job, Worker};
 use crate::geometry::DVec3;
@@ -25,7 +26,7 @@ use std::time::{Duration, Instant};
 use winit::application::ApplicationHandler;
 use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
-use winit::keyboard::PhysicalKey;
+use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{Window, WindowId};
 
 /// A frame is drawn so often even if nothing happens: spinners, messages that end.
@@ -90,6 +91,7 @@ pub fn run(options: Options) -> Result<(), ViewerError> {
         site_asked: true,
         ground_asked: None,
         picture_wanted: false,
+        control: false,
         clicked: None,
         failed: None,
     };
@@ -175,6 +177,8 @@ struct Viewer {
     site_asked: bool,
     ground_asked: Option<Instant>,
     picture_wanted: bool,
+    /// Is Ctrl held?
+    control: bool,
     /// A click whose point is being looked up.
     clicked: Option<Click>,
     failed: Option<ViewerError>,
@@ -235,13 +239,25 @@ impl ApplicationHandler<Wake> for Viewer {
                 self.wheel(steps);
             }
             WindowEvent::KeyboardInput { event, .. } => {
+                let down = event.state == ElementState::Pressed;
+                let with_control = self.control && self.model.nav.rig.mode == Mode::Orbit;
                 if let (PhysicalKey::Code(code), false) = (event.physical_key, typing)
-                    && let Some(key) = key_of(code)
-                    && !(event.repeat && event.state == ElementState::Pressed)
+                    && with_control
+                    && down
+                    && !matches!(code, KeyCode::ControlLeft | KeyCode::ControlRight)
                 {
-                    self.key(key, event.state == ElementState::Pressed);
+                    // What other programs do with it is not what the letter does here; all know how to quit.
+                    if code == KeyCode::KeyQ {
+                        events.exit();
+                    }
+                } else if let (PhysicalKey::Code(code), false) = (event.physical_key, typing)
+                    && let Some(key) = key_of(code)
+                    && !(event.repeat && down)
+                {
+                    self.key(key, down);
                 }
             }
+            WindowEvent::ModifiersChanged(modifiers) => self.control = modifiers.state().control_key(),
             _ => {}
         }
     }

@@ -36,6 +36,8 @@ pub(super) struct LasOptions {
     pub standard_time: bool,
     /// The points that will come, if known.
     pub points: Option<u64>,
+    /// The ends of intensities that are no `u16`.
+    pub intensity: Option<[f64; 2]>,
 }
 
 /// Records of a LAS file, and what its header says of them.
@@ -83,11 +85,11 @@ impl LasWriter {
         output: &OutputPlan,
         options: LasOptions,
     ) -> Result<Self, FormatError> {
-        let LasOptions { compressed, date, standard_time, points } = options;
+        let LasOptions { compressed, date, standard_time, points, intensity } = options;
         let plan = match &output.las {
             LasTarget::AsSource(facts) => plan::as_source(output, facts, compressed, date),
             LasTarget::Merged { scale, offset } => {
-                plan::merged(output, *scale, *offset, compressed, date, standard_time)
+                plan::merged(output, *scale, *offset, compressed, date, standard_time, intensity)
             }
         };
         let plan::Plan { mut header, slots, notes } = plan.map_err(|reason| destination.unwritable(reason))?;

@@ -123,6 +123,7 @@ pub(super) fn merged(
     compressed: bool,
     date: CreationDate,
     standard_time: bool,
+    intensity: Option<[f64; 2]>,
 ) -> Planned {
     let mut notes = Vec::new();
     let has =
@@ -153,7 +154,14 @@ pub(super) fn merged(
             if field.renamed {
                 notes.push(format!("{} ({}) is extra byte {:?}", attribute.name, attribute.ty.word(), field.name));
             }
-            if dimensions.iter().any(|d| d.name == attribute.name) {
+            let scaled = scaled_intensity(plan, attribute, intensity);
+            if let (Some((put, how)), Some(dimension)) = (scaled, dimensions.iter().find(|d| d.name == INTENSITY)) {
+                notes.push(format!(
+                    "Intensity is {} here: LAS's own field has it {how}, and an extra byte as it is",
+                    attribute.ty.word()
+                ));
+                slots.push(Slot { column, offset: XYZ_BYTES + dimension.offset, put });
+            } else if dimensions.iter().any(|d| d.name == attribute.name) {
                 notes.push(format!(
                     "{} is {} here, which LAS's own field can't hold: that is 0, and the values are in an extra byte",
                     attribute.name,
@@ -205,6 +213,27 @@ pub(super) fn merged(
         ..Header::default()
     };
     Ok(Plan { header: with_vlrs(header, &vlrs)?, slots, notes })
+}
+
+const INTENSITY: &str = "Intensity";
+
+/// How an intensity of another type comes into LAS's own field, by which viewers colour, and that in words. What two columns
+/// have stays in extra bytes.
+fn scaled_intensity(plan: &OutputPlan, attribute: &Attribute, ends: Option<[f64; 2]>) -> Option<(Put, String)> {
+    const MOST: f64 = 65_535.0;
+    let is_one = plan.attributes.iter().filter(|a| a.name == INTENSITY).count() == 1;
+    let [low, high] = ends.filter(|_| attribute.name == INTENSITY && is_one)?;
+    let scale = attribute.scaling.map_or(1.0, |s| s.scale);
+    let offset = attribute.scaling.map_or(0.0, |s| s.offset);
+    let (low, factor, how) = match () {
+        () if !(low.is_finite() && high.is_finite()) => return None,
+        () if low >= 0.0 && high > 1.0 && high <= MOST => (0.0, 1.0, "as the nearest whole number".to_owned()),
+        () if low >= 0.0 && high <= 1.0 => (0.0, MOST, "times 65,535".to_owned()),
+        () => (low, MOST / (high - low), format!("from {low} to {high} as 0 to 65,535")),
+    };
+    // Of stored values.
+    let put = Put::Scaled { low: (low - offset) / scale, factor: factor * scale };
+    (factor.is_finite() && scale != 0.0).then_some((put, how))
 }
 
 /// The field of the point format for an attribute of exactly this name and type, or of one that becomes it.

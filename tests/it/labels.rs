@@ -1,0 +1,137 @@
+//! `rename` and `set-crs`, and how new versions of files and unnamed CRS are met.
+
+use crate::support::{esker, esker_fails, esker_ok};
+use std::fs;
+
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn file(&self, name: &str, text: &str) -> String {
+        let path = self.path(name);
+        fs::create_dir_all(std::path::Path::new(&path).parent().unwrap()).unwrap();
+        fs::write(&path, text).unwrap();
+        path
+    }
+}
+
+fn json(arguments: &[&str]) -> serde_json::Value {
+    serde_json::from_str(&esker_ok(&[arguments, &["--json"]].concat())).unwrap()
+}
+
+fn names(store: &str) -> Vec<String> {
+    let scans = json(&["scans", store]);
+    scans["scans"].as_array().unwrap().iter().map(|s| s["name"].as_str().unwrap().to_owned()).collect()
+}
+
+/// What a command that must succeed says on stderr.
+fn told(arguments: &[&str]) -> String {
+    let output = esker(arguments);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn a_scan_is_renamed_and_nothing_else() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    esker_ok(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,3\n"), &place.file("b.csv", "x,y,z\n4,5,6\n")]);
+    let before = esker_ok(&["digest", &s]);
+    assert_eq!(esker_ok(&["rename", &s, "a", "north wall"]), "a: is north wall now\n");
+    assert_eq!(json(&["rename", &s, "2", "south"]), serde_json::json!({ "name": "south", "before": "b" }));
+    assert_eq!(names(&s), ["north wall", "south"]);
+    assert_eq!(esker_ok(&["digest", &s]), before);
+    esker_ok(&["verify", &s, "--deep"]);
+    assert_eq!(esker_ok(&["query", &s, "--scan", "north wall", "--count"]), "1\n");
+    // Under its own name it is still the same source.
+    assert!(esker_ok(&["ingest", &s, &place.path("a.csv")]).contains("already in the store as 'north wall'"));
+    esker_fails(&["rename", &s, "south", "north wall"], 1, &["the store has another scan named 'north wall'"]);
+    esker_fails(&["rename", &s, "west", "x"], 1, &["no scan 'west'"]);
+    esker_fails(&["rename", &s, "south", " "], 1, &["can't be empty"]);
+    // A clash was SQLite's own error.
+    let replace = ["replace", &s, "south", "--name", "north wall"];
+    esker_fails(&replace, 1, &["the store has another scan named 'north wall'; give another name"]);
+    assert_eq!(names(&s), ["north wall", "south"]);
+}
+
+#[test]
+fn a_site_is_given_a_crs() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    esker_ok(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,3\n")]);
+    let said = esker_ok(&["set-crs", &s, "EPSG:25832+7837"]);
+    assert!(said.ends_with("is in EPSG:25832 + EPSG:7837 now; before: unknown\n"), "{said}");
+    let crs = || json(&["info", &s])["crs"].clone();
+    assert_eq!((&crs()["horizontal_epsg"], &crs()["vertical_epsg"]), (&25832.into(), &7837.into()));
+    esker_fails(
+        &["set-crs", &s, "EPSG:25833"],
+        1,
+        &["the site's CRS is EPSG:25832 + EPSG:7837, not EPSG:25833", "--force"],
+    );
+    let again = json(&["set-crs", &s, "EPSG:25833", "--force"]);
+    assert_eq!(again, serde_json::json!({ "crs": "EPSG:25833", "before": "EPSG:25832 + EPSG:7837" }));
+    esker_fails(&["set-crs", &s, "UTM"], 2, &["UTM"]);
+    // What holds nothing yet is given a site by whoever fills it.
+    let lattice = esker::lattice::Lattice::uniform(0.01).unwrap();
+    drop(esker::store::Store::create(place.path("e.esker"), esker::store::SiteOptions::new(lattice)).unwrap());
+    esker_ok(&["set-crs", &place.path("e.esker"), "EPSG:25832"]);
+    // Outputs say it, and inputs in others are refused.
+    esker_ok(&["query", &s, "-o", &place.path("a.las")]);
+    esker_ok(&["ingest", &place.path("t.esker"), &place.path("a.las")]);
+    assert_eq!(json(&["info", &place.path("t.esker")])["crs"]["horizontal_epsg"], 25833);
+    let other = place.file("b.csv", "x,y,z\n4,5,6\n");
+    esker_fails(&["ingest", &s, &other, "--crs", "EPSG:25832"], 1, &["EPSG:25833"]);
+    esker_ok(&["verify", &s, "--deep"]);
+}
+
+#[test]
+fn a_scan_that_brings_the_first_crs_says_so() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    let (a, b) = (place.file("a.csv", "x,y,z\n1,2,3\n"), place.file("b.csv", "x,y,z\n4,5,6\n"));
+    assert!(!told(&["ingest", &s, &a]).contains("CRS"));
+    let note = told(&["ingest", &s, &b, "--crs", "EPSG:25832"]);
+    assert!(
+        note.contains("the site had no CRS; it is EPSG:25832 now, which is taken for that of the scans that it has"),
+        "{note}"
+    );
+    // A text that has the code is the same system.
+    let wkt = r#"PROJCS["ETRS89 / UTM zone 32N",UNIT["metre",1],AUTHORITY["EPSG","25832"]]"#;
+    let c = place.file("c.csv", "x,y,z\n7,8,9\n");
+    assert!(!told(&["ingest", &s, &c, "--crs", wkt]).contains("CRS"));
+}
+
+#[test]
+fn a_new_version_of_a_file_is_told_and_not_doubled_by_replace() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    let ptx = |z: u32| {
+        let block =
+            |x: u32| format!("1\n1\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n{x} 0 {z} 0.5\n");
+        format!("{}{}", block(1), block(2))
+    };
+    esker_ok(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,3\n"), &place.file("two.ptx", &ptx(1))]);
+    // Another content under the same path.
+    let again = told(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,4\n")]);
+    assert!(again.contains("the store has an older version as 'a', and both are there now"), "{again}");
+    // The same name elsewhere is another file.
+    assert!(!told(&["ingest", &s, &place.file("other/a.csv", "x,y,z\n1,2,5\n")]).contains("older version"));
+    esker_ok(&["verify", &s]);
+    // With another pose it is an error, or left out.
+    let pose = place.file("pose.txt", "1 0 0 5\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+    let u = place.path("u.esker");
+    esker_ok(&["ingest", &u, &place.path("a.csv")]);
+    esker_ok(&["replace", &u, "a", "--pose", &pose]);
+    let both = [place.path("a.csv"), place.file("n.csv", "x,y,z\n7,7,7\n")];
+    esker_fails(&["ingest", &u, &both[0], &both[1]], 1, &["with another pose or other options", "`esker replace`"]);
+    let output = esker(&["ingest", &u, &both[0], &both[1], "--keep-going"]);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    assert_eq!(names(&u), ["a", "n"]);
+}

@@ -37,7 +37,10 @@ impl Shown {
         let flag = stopped.clone();
         // A second handler in one process can't be set; then Ctrl-C keeps its ordinary meaning, which is safe too.
         let _ = ctrlc::set_handler(move || flag.store(true, Ordering::SeqCst));
-        let bar = if mode == Mode::Auto { bar("") } else { ProgressBar::hidden() };
+        let bar = bar("", true);
+        if mode == Mode::Auto && std::io::stderr().is_terminal() {
+            bar.set_draw_target(ProgressDrawTarget::stderr());
+        }
         Self { mode, bar, stopped, state: Mutex::new(None), total: AtomicU64::new(0), done: AtomicU64::new(0) }
     }
 
@@ -52,15 +55,16 @@ impl Shown {
     }
 }
 
-/// A bar for a stage of the work, hidden where stderr is no terminal.
-pub(super) fn bar(stage: &'static str) -> ProgressBar {
+/// A bar for a stage of the work, which nobody sees before it is given somewhere to draw; `counted`: it is known how many points
+/// there are.
+pub(super) fn bar(stage: &'static str, counted: bool) -> ProgressBar {
     let bar = ProgressBar::no_length();
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    if let Ok(style) =
-        ProgressStyle::with_template("{msg:9} [{bar:32}] {human_pos}/{human_len} points  {rate}  {eta} left")
-    {
+    bar.set_draw_target(ProgressDrawTarget::hidden());
+    let template = match counted {
+        true => "{msg:9} [{bar:32}] {human_pos}/{human_len} points  {rate}  {eta} left",
+        false => "{msg:9} {human_pos} points read  {rate}  {elapsed}",
+    };
+    if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style.progress_chars("=> ").with_key("rate", rate));
     }
     bar.set_message(stage);

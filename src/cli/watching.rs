@@ -4,6 +4,7 @@ use super::output;
 use super::progress::{Mode, bar};
 use anyhow::Context;
 use clap::Args;
+use indicatif::{ProgressBar, ProgressDrawTarget};
 use std::io::IsTerminal;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
@@ -62,19 +63,28 @@ impl Watching {
                 if wait(PATIENCE) {
                     return;
                 }
-                let bar = bar(stage);
+                let bars = [false, true].map(|counted| bar(stage, counted));
+                let mut shown = None;
                 loop {
                     let (points, total) = far();
-                    match total {
-                        Some(total) => bar.set_length(total.max(points)),
-                        None => bar.unset_length(),
+                    let bar = &bars[usize::from(total.is_some())];
+                    if let Some(total) = total {
+                        bar.set_length(total.max(points));
                     }
                     bar.set_position(points);
+                    // What it is becomes known while the work goes on.
+                    if shown != Some(total.is_some()) {
+                        if shown.is_some() {
+                            bars[usize::from(total.is_none())].finish_and_clear();
+                        }
+                        bar.set_draw_target(ProgressDrawTarget::stderr());
+                        shown = Some(total.is_some());
+                    }
                     if wait(TICK) {
                         break;
                     }
                 }
-                bar.finish_and_clear();
+                bars.iter().for_each(ProgressBar::finish_and_clear);
             }),
             Mode::Auto | Mode::None => return Self(None),
         };

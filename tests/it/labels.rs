@@ -135,3 +135,36 @@ fn a_new_version_of_a_file_is_told_and_not_doubled_by_replace() {
     assert_eq!(output.status.code(), Some(3), "{output:?}");
     assert_eq!(names(&u), ["a", "n"]);
 }
+
+/// It brought the other setups along, beside those that were there.
+#[test]
+fn a_file_of_several_scans_replaces_the_one_of_its_name() {
+    let place = Place::new();
+    let (s, first, second) = (place.path("s.esker"), place.path("v1/project.e57"), place.path("v2/project.e57"));
+    let project = |path: &str, z: f64| {
+        fs::create_dir_all(std::path::Path::new(path).parent().unwrap()).unwrap();
+        let mut writer = e57::E57Writer::from_file(path, "file").unwrap();
+        for (number, name) in ["north", "south", "roof"].iter().enumerate() {
+            let names = [e57::RecordName::CartesianX, e57::RecordName::CartesianY, e57::RecordName::CartesianZ];
+            let record = |name| e57::Record { name, data_type: e57::RecordDataType::F64 };
+            let mut scan = writer.add_pointcloud(name, names.map(record).to_vec()).unwrap();
+            scan.set_name(Some((*name).to_owned()));
+            scan.add_point([number as f64, 1.0, z].map(e57::RecordValue::Double).to_vec()).unwrap();
+            scan.finalize().unwrap();
+        }
+        writer.finalize().unwrap();
+    };
+    project(&first, 1.0);
+    project(&second, 2.0);
+    esker_ok(&["ingest", &s, &first, "--quantum", "0.01"]);
+    let said = esker_ok(&["replace", &s, "south", &second]);
+    assert!(said.contains("(scan 1): skipped, not the scan that takes the place of 'south'"), "{said}");
+    assert_eq!(names(&s), ["north", "roof", "south"]);
+    let heights = esker_ok(&["query", &s, "-o", "-", "--format", "csv", "--where", "z = 2"]);
+    assert_eq!(heights, "X,Y,Z\n1,1,2\n");
+    // The same by ingest is beside the old ones, and told.
+    let both = told(&["ingest", &s, &second]);
+    assert!(both.contains("the store has an older version as 'north'"), "{both}");
+    assert_eq!(names(&s), ["north", "roof", "south", "project/north", "project/roof"]);
+    esker_ok(&["verify", &s, "--deep"]);
+}

@@ -381,6 +381,43 @@ fn only_what_is_asked_for_is_read() {
     assert_eq!(Query::new().count(&test.snapshot).unwrap().statistics.bytes_read, 0);
 }
 
+/// It said that of the whole answer, as if nothing were missing.
+#[test]
+fn an_answer_that_was_ended_has_no_bound() {
+    let test = store(&[surface(60_000)], Params { g: 7, leaf_capacity: 32_768 }, None);
+    let query = || Query::new().threads(1);
+    let stop_after = |most: usize| {
+        let mut left = most;
+        move || {
+            left = left.saturating_sub(1);
+            if left == 0 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        }
+    };
+    for (most, bound) in [(1, None), (usize::MAX, Some(0.0))] {
+        let mut stop = stop_after(most);
+        let answer = query().run(&test.snapshot, |_| stop()).unwrap();
+        assert_eq!((answer.error_bound, answer.points == 60_000), (bound, bound.is_some()));
+        let mut stop = stop_after(most);
+        let answer = query().run_mapped(&test.snapshot, |batch| batch.len(), |_| stop()).unwrap();
+        assert_eq!((answer.error_bound, answer.points == 60_000), (bound, bound.is_some()));
+    }
+    let mut batches = query().batches(&test.snapshot).unwrap();
+    assert_eq!(batches.answer().error_bound, None);
+    batches.next().unwrap().unwrap();
+    assert_eq!(batches.answer().error_bound, None);
+    for batch in &mut batches {
+        batch.unwrap();
+    }
+    assert_eq!((batches.answer().error_bound, batches.answer().points), (Some(0.0), 60_000));
+    // After an error neither.
+    let cancel = Cancel::new();
+    let mut batches = query().cancel(&cancel).batches(&test.snapshot).unwrap();
+    batches.next().unwrap().unwrap();
+    cancel.cancel();
+    assert!(batches.next().unwrap().is_err() && batches.next().is_none());
+    assert_eq!(batches.answer().error_bound, None);
+}
+
 #[test]
 fn a_watch_says_how_far_a_query_is() {
     let test = store(&[surface(60_000)], Params { g: 7, leaf_capacity: 32_768 }, None);

@@ -124,10 +124,14 @@ pub(crate) struct TableSource {
 impl TableSource {
     /// Of all its points.
     pub fn new(table: Arc<PointTable>) -> Self {
-        let (mut end, mut fields, mut offsets) = (0, Vec::new(), Vec::new());
-        for (attribute, _) in &table.columns {
+        // In canonical order: the same columns are the same points, however they were added.
+        let mut order: Vec<usize> = (0..table.columns.len()).collect();
+        order.sort_by(|&a, &b| table.columns[a].0.identity().cmp(&table.columns[b].0.identity()));
+        let (mut end, mut fields, mut offsets) = (0, Vec::new(), vec![0; table.columns.len()]);
+        for i in order {
+            let attribute = &table.columns[i].0;
             fields.push((attribute.clone(), Field { offset: end, kind: FieldKind::Whole }));
-            offsets.push(end);
+            offsets[i] = end;
             end += attribute.ty.size();
         }
         let layout = RecordLayout::new(PositionKind::World, end, fields);

@@ -44,8 +44,8 @@ pub fn rename(
     })
 }
 
-/// Says in which CRS a site is; no coordinate changes. Gives the CRS that it had. `force`: also where that is known to be
-/// another one.
+/// Says in which CRS a site is; no coordinate changes. Gives the CRS that it had. `force`: also where that is not surely
+/// the same.
 ///
 /// # Errors
 ///

@@ -24,6 +24,15 @@ fn table(name: &str) -> PointTable {
     table
 }
 
+/// The same, its columns added the other way round.
+fn turned(name: &str) -> PointTable {
+    let axis = |axis| (0..POINTS).map(|i| coordinate(i, axis)).collect::<Vec<_>>();
+    let mut table = PointTable::new(name, axis(0), axis(1), axis(2)).unwrap();
+    table.add("weight", Column::F32((0..POINTS).map(|i| i as f32 / 3.0).collect())).unwrap();
+    table.add("Intensity", Column::U16((0..POINTS).map(|i| i as u16).collect())).unwrap();
+    table
+}
+
 fn options() -> IngestOptions {
     let lattice = LatticeWish { quantum: Some([0.01; 3]), phase: None };
     IngestOptions { lattice, ..IngestOptions::default() }
@@ -53,8 +62,8 @@ fn a_table_is_the_store_that_a_file_of_its_points_is() {
         assert_eq!(hash(name).points, hash("file.esker").points, "{name}");
         assert_eq!(hash(name).scans, hash("a.esker").scans, "{name}");
     }
-    // Once is enough, whatever it is called; other values are other points.
-    let again = ingest_table(&at("a.esker"), table("again"), &options(), &()).unwrap();
+    // Once is enough, whatever it is called and in whatever order; other values are other points.
+    let again = ingest_table(&at("a.esker"), turned("again"), &options(), &()).unwrap();
     assert!(again.scans.is_empty() && again.skipped[0].reason.contains("already in the store as 'made'"), "{again:?}");
     let mut other = table("made");
     other.add("more", Column::U8(vec![1; POINTS])).unwrap();

@@ -53,6 +53,14 @@ pub fn roles(names: &[String]) -> Vec<Role> {
             (roles[e], roles[n]) = (Role::Axis(0), Role::Axis(1));
         }
     }
+    // And so are degrees: beside eastings they are attributes.
+    let bare = |name: &str| name.split(['(', '[']).next().unwrap_or(name).trim().to_ascii_lowercase();
+    let one_of = |words: [&str; 2]| names.iter().position(|n| words.contains(&&*bare(n)));
+    if let (Some(lon), Some(lat), false, false) =
+        (one_of(["longitude", "lon"]), one_of(["latitude", "lat"]), has(&roles, 0), has(&roles, 1))
+    {
+        (roles[lon], roles[lat]) = (Role::Axis(0), Role::Axis(1));
+    }
     // `x`, `y` and `z` themselves go before words for them: beside `z`, `height` is something else.
     for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
         let of_axis = |i: &usize| roles[*i] == Role::Axis(axis);
@@ -78,10 +86,12 @@ fn role(name: &str, i: usize) -> Role {
     // `Easting (m)`, `Z [ft]`; as surveyors write in German, too.
     let word = name.split(['(', '[']).next().unwrap_or(name).replace(['ö', 'Ö'], "oe");
     match &*fold(&word) {
-        "x" | "xcoord" | "xcoordinate" | "pointx" | "easting" | "east" | "rechtswert" | "ostwert" | "longitude"
-        | "lon" => return Role::Axis(0),
-        "y" | "ycoord" | "ycoordinate" | "pointy" | "northing" | "north" | "hochwert" | "nordwert" | "latitude"
-        | "lat" => return Role::Axis(1),
+        "x" | "xcoord" | "xcoordinate" | "pointx" | "easting" | "east" | "rechtswert" | "ostwert" => {
+            return Role::Axis(0);
+        }
+        "y" | "ycoord" | "ycoordinate" | "pointy" | "northing" | "north" | "hochwert" | "nordwert" => {
+            return Role::Axis(1);
+        }
         "z" | "zcoord" | "zcoordinate" | "pointz" | "elevation" | "elev" | "altitude" | "height" | "hoehe" => {
             return Role::Axis(2);
         }
@@ -285,6 +295,15 @@ mod tests {
     fn columns_are_named_once_each() {
         assert_eq!(parse_columns("x, y,z,-,Intensity").unwrap(), ["x", "y", "z", "-", "Intensity"]);
         assert_eq!(roles(&parse_columns("R,G,B,Easting,Northing,Z").unwrap())[3], Role::Axis(0));
+        // German names and degrees; the latter not beside eastings, where they were taken for a second x.
+        let axes_of = |names: &str| {
+            let names: Vec<String> = names.split(';').map(str::to_owned).collect();
+            axes(&roles(&names))
+        };
+        assert_eq!(axes_of("Nr;Rechtswert;Hochwert;Höhe"), Some([1, 2, 3]));
+        assert_eq!(axes_of("Latitude (deg);lon;height"), Some([1, 0, 2]));
+        assert_eq!(axes_of("lat;lon;easting;northing;height"), Some([2, 3, 4]));
+        assert_eq!(axes_of("lat;lon;x;y;z"), Some([2, 3, 4]));
         for bad in ["x,y", "x,y,z,x", "x,y,,z", ""] {
             assert!(parse_columns(bad).is_err(), "{bad}");
         }

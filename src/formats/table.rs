@@ -150,7 +150,8 @@ impl TableSource {
         let mut hasher = blake3::Hasher::new();
         hasher.update(b"esker table 1");
         for (attribute, field) in self.info.layout.attributes.iter().zip(&self.info.layout.fields) {
-            for part in [attribute.name.as_bytes(), attribute.ty.word().as_bytes(), &field.offset.to_le_bytes()] {
+            let place = (field.offset as u64).to_le_bytes();
+            for part in [attribute.name.as_bytes(), attribute.ty.word().as_bytes(), &place] {
                 hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
             }
         }

@@ -11,6 +11,8 @@ pub struct Pose {
     linear: [[f64; 3]; 3],
     translation: [f64; 3],
     inverse: [[f64; 3]; 3],
+    /// By how much it enlarges, as long as that is one factor.
+    scale: f64,
 }
 
 /// Why numbers are no pose.
@@ -36,7 +38,7 @@ pub enum PoseError {
 
 impl Pose {
     /// The map that leaves everything where it is.
-    pub const IDENTITY: Self = Self { linear: UNIT, translation: [0.0; 3], inverse: UNIT };
+    pub const IDENTITY: Self = Self { linear: UNIT, translation: [0.0; 3], inverse: UNIT, scale: 1.0 };
 
     /// From a row-major 4 x 4 matrix that takes column vectors: the translation is the last column.
     ///
@@ -94,7 +96,10 @@ impl Pose {
         if !inverse.as_flattened().iter().all(|v| v.is_finite()) {
             return Err(PoseError::Singular);
         }
-        Ok(Self { linear, translation, inverse })
+        let scale = determinant.abs().cbrt();
+        // Rotations are rounded: what is nearly 1 is 1.
+        let scale = if (scale - 1.0).abs() < 1e-9 { 1.0 } else { scale };
+        Ok(Self { linear, translation, inverse, scale })
     }
 
     /// The row-major 4 x 4 matrix.
@@ -152,27 +157,18 @@ impl Pose {
     /// A direction of the scan's frame in the world: turned, of the same length.
     #[inline]
     pub fn world_direction(&self, v: [f64; 3]) -> [f64; 3] {
-        let scale = self.scale();
-        self.linear.map(|row| dot(row, v) / scale)
+        self.linear.map(|row| dot(row, v) / self.scale)
     }
 
     /// A direction of the world in the scan's frame: turned back, of the same length.
     #[inline]
     pub fn scan_direction(&self, v: [f64; 3]) -> [f64; 3] {
-        let scale = self.scale();
-        self.inverse.map(|row| dot(row, v) * scale)
+        self.inverse.map(|row| dot(row, v) * self.scale)
     }
 
     /// Does it turn directions?
     pub fn turns(&self) -> bool {
         self.linear != UNIT
-    }
-
-    /// The factor by which it enlarges, as long as it is one. Rotations are rounded, so what is nearly 1 is 1.
-    fn scale(&self) -> f64 {
-        let [a, b, c] = self.linear;
-        let scale = dot(a, cross(b, c)).abs().cbrt();
-        if (scale - 1.0).abs() < 1e-9 { 1.0 } else { scale }
     }
 
     /// The map that does `first`, then this.

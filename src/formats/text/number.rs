@@ -58,7 +58,8 @@ pub fn comes_back(word: &[u8], value: f64) -> bool {
     written.bytes().take_while(|&b| b != b'e').filter(u8::is_ascii_digit).eq(digits.iter().copied())
 }
 
-/// Reads a number; a comma is a point where `comma` says so. Empty words and `NA` are NaN. (`-` may be the beginning of a number whose line is cut.)
+/// Reads a number; a comma is a point where `comma` says so. Empty words and `NA` are NaN; `-` is not, which may be the
+/// beginning of a number whose line is cut.
 #[inline]
 pub fn parse(word: &[u8], comma: bool) -> Option<Number> {
     let (negative, digits) = match word {

@@ -1,8 +1,8 @@
 //! Text out: as CSV, a line of names, then a line per point; as XYZ, blanks for commas and no names.
 //!
 //! X, Y and Z are the exact decimals that the coordinates are. An attribute with a scaling is written as its real value
-//! (`raw * scale + offset`, in decimal where the raw value is an integer), one that is its no-data value as nothing (NaN in XYZ). All
-//! others are written as they are stored, floats as the shortest text that reads back as the same number.
+//! (`raw * scale + offset`, in decimal where the raw value is an integer), one that is its no-data value as nothing (NaN in
+//! XYZ). All others are written as they are stored, floats as the shortest text that reads back as the same number.
 
 use super::destination::Destination;
 use super::names::distinct;

@@ -1,6 +1,7 @@
 //! What changes stores, and makes files to try them with.
 
 use crate::errors::{Failure, bad_ingest, misuse};
+use crate::options::parse_view;
 use crate::reader::json;
 use crate::waiting::{interruptible, quietly};
 use esker::formats::parse_columns;
@@ -300,6 +301,34 @@ pub fn set_crs(
         let before = library::set_crs(&path, &crs, force, &resources, told)?;
         Ok(before.map(|crs| crs.describe()))
     })
+}
+
+/// Keeps a camera under a name; says whether there was another one of that name.
+#[pyfunction]
+pub fn keep_bookmark(
+    py: Python<'_>,
+    path: PathBuf,
+    name: String,
+    view: &str,
+    replace: bool,
+    wishes: Wishes,
+    listener: Listener,
+) -> PyResult<String> {
+    let camera = parse_view(view)?;
+    let resources = wishes.resources();
+    change(py, &wishes, &listener, |told| library::keep_bookmark(&path, &name, &camera, replace, &resources, told))
+}
+
+/// Lets go of a camera.
+#[pyfunction]
+pub fn remove_bookmark(
+    py: Python<'_>,
+    path: PathBuf,
+    name: String,
+    wishes: Wishes,
+    listener: Listener,
+) -> PyResult<String> {
+    change(py, &wishes, &listener, |told| library::remove_bookmark(&path, &name, &wishes.resources(), told))
 }
 
 /// Makes one layer of all and gives free space back.

@@ -140,6 +140,8 @@ fn of_ingest(error: &IngestError) -> PyErr {
         IngestError::Store(e) => of_store(e),
         IngestError::Format(e) => of_format(e),
         IngestError::NoScan { .. } => exceptions::UnknownNameError::new_err(message(error)),
+        IngestError::NoBookmark { .. } => exceptions::UnknownNameError::new_err(message(error)),
+        IngestError::BookmarkTaken(_) => exceptions::ExistsError::new_err(message(error)),
         IngestError::OutputThere(_) => exceptions::ExistsError::new_err(message(error)),
         IngestError::DiskFull { .. } => exceptions::DiskFullError::new_err(message(error)),
         _ => exceptions::IngestError::new_err(message(error)),

@@ -24,7 +24,8 @@ mod _esker {
     use super::batches::Batches;
     #[pymodule_export]
     use super::changes::{
-        compact, digest, generate, ingest, ingest_table, merge, remove, rename, replace, set_crs, set_visible,
+        compact, digest, generate, ingest, ingest_table, keep_bookmark, merge, remove, remove_bookmark, rename,
+        replace, set_crs, set_visible,
     };
     #[pymodule_export]
     use super::export::export;

@@ -80,8 +80,7 @@ impl Options {
             query = query.scans(scans.iter().cloned());
         }
         if let Some(json) = &self.view {
-            let camera: Camera = serde_json::from_str(json).map_err(|e| bad_query(format!("this is no view: {e}")))?;
-            query = query.view(camera, self.max_error_px);
+            query = query.view(parse_view(json)?, self.max_error_px);
         }
         if let Some(text) = &self.policy {
             if self.view.is_none() {
@@ -175,4 +174,9 @@ fn oriented_box(numbers: &[f64]) -> Result<Region, QueryError> {
         }
     };
     Region::new_oriented_box(center, size, rotation)
+}
+
+/// A view file's JSON.
+pub fn parse_view(json: &str) -> PyResult<Camera> {
+    serde_json::from_str(json).map_err(|e| bad_query(format!("this is no view: {e}")))
 }

@@ -13,6 +13,31 @@ def scans(tmp_path):
     return esker.generate("site", 30_000, tmp_path / "scans", scans=3)
 
 
+def test_cameras_are_kept_and_let_go(tmp_path, scans):
+    path = tmp_path / "s.esker"
+    esker.ingest(path, scans[:1])
+    view = {"eye": [0, 0, 90], "target": [0, 0, 0], "up": [0, 1, 0], "projection": "perspective", "fov_y_deg": 40,
+            "size": [640, 480]}
+    with esker.open(path) as store:
+        assert store.bookmarks == {} and store.keep_bookmark("plan", view) is False
+        kept = store.bookmarks["plan"]
+        assert kept["projection"] == "perspective" and kept["fov_y_deg"] == pytest.approx(40, rel=1e-12)
+        assert store.count(view=kept, max_error_px=1) == store.count(view=view, max_error_px=1)
+        other = {**view, "eye": [0, 0, 50]}
+        with pytest.raises(esker.ExistsError, match="a bookmark 'plan'.*force=True"):
+            store.keep_bookmark("plan", other)
+        assert store.keep_bookmark("plan", other, force=True) is True
+        assert store.bookmarks["plan"]["eye"] == [0, 0, 50] and store.info["bookmarks"] == ["plan"]
+        with pytest.raises(esker.UnknownNameError, match="no bookmark 'gate'; there are: 'plan'"):
+            store.remove_bookmark("gate")
+        with pytest.raises(esker.QueryError, match="no view"):
+            store.keep_bookmark("x", {"eye": [0, 0, 0]})
+        with pytest.raises(TypeError, match="view must be"):
+            store.keep_bookmark("x", None)
+        store.remove_bookmark("plan")
+        assert store.bookmarks == {}
+
+
 def test_names_and_the_crs_can_be_set(tmp_path, scans):
     path = tmp_path / "s.esker"
     esker.ingest(path, scans[:2])

@@ -1,6 +1,8 @@
 //! The command line: one file per command. Data on stdout, words on stderr; exit codes 0 ok, 1 error, 2 usage,
 //! 3 finished with rejected points under `--strict`, 130 interrupted.
 
+mod bookmark;
+mod cameras;
 mod changing;
 mod compact;
 mod density;
@@ -84,6 +86,7 @@ enum Command {
     SetCrs(labels::SetCrs),
     Compact(compact::Arguments),
     Merge(merge::Arguments),
+    Bookmark(bookmark::Arguments),
     Info(info::Arguments),
     Query(query::Arguments),
     Nearest(nearest::Arguments),
@@ -114,6 +117,7 @@ pub fn main() -> ExitCode {
         Command::SetCrs(a) => labels::set_crs(&a),
         Command::Compact(a) => compact::run(&a),
         Command::Merge(a) => merge::run(&a),
+        Command::Bookmark(a) => bookmark::run(&a),
         Command::Info(a) => info::run(&a),
         Command::Query(a) => query::run(&a),
         Command::Nearest(a) => nearest::run(&a),

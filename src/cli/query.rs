@@ -1,14 +1,13 @@
 //! `esker query`: points out, by region, filter and detail.
 
+use super::cameras::OneCamera;
 use super::which::{Which, tell_why_nothing, with_attributes};
 use super::{Outcome, Usage, output, values};
 use crate::export::{self, ExportError, ExportOptions, Exported, PartOf, Target, Written};
 use crate::formats::OutputFormat;
-use crate::geometry::Camera;
 use crate::points::Number;
 use crate::query::{Answer, AttributeSummary, Detail, Policy, Query, Region};
 use crate::store::{Holders, Limits, Snapshot, Store};
-use anyhow::Context;
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -42,15 +41,14 @@ pub(super) struct Arguments {
     store: PathBuf,
     #[command(flatten)]
     which: Which,
-    /// What a camera needs: a view file in JSON.
-    #[arg(long, value_name = "VIEW.json")]
-    view: Option<PathBuf>,
-    /// For --view: stop where spacing is below so many pixels; 1 unless said.
-    #[arg(long, value_name = "PX", value_parser = values::not_negative, requires = "view")]
+    #[command(flatten)]
+    camera: OneCamera,
+    /// For --view and --bookmark: stop where spacing is below so many pixels; 1 unless said.
+    #[arg(long, value_name = "PX", value_parser = values::not_negative, requires = "camera")]
     max_error_px: Option<f64>,
-    /// For --view: how points are spread: `screen`, the largest error in pixels first, or `distance`, ratios that fall with
+    /// For --view and --bookmark: how points are spread: `screen`, the largest error in pixels first, or `distance`, ratios that fall with
     /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.
-    #[arg(long, value_name = "POLICY", requires = "view", value_parser = Policy::parse)]
+    #[arg(long, value_name = "POLICY", requires = "camera", value_parser = Policy::parse)]
     policy: Option<Policy>,
     /// As few points as keep every matching point within D of one of them, in CRS units.
     #[arg(long, value_name = "D", value_parser = values::not_negative, conflicts_with_all = ["spacing", "level"])]
@@ -280,8 +278,7 @@ pub(super) fn format(path: &Path, given: Option<Format>) -> anyhow::Result<Outpu
 
 fn query(arguments: &Arguments, region: Region, snapshot: &Snapshot) -> anyhow::Result<Query> {
     let mut query = arguments.which.query(region, snapshot)?;
-    if let Some(path) = &arguments.view {
-        let camera = read_view(path)?;
+    if let Some(camera) = arguments.camera.get(snapshot)? {
         query = query.view(camera, arguments.max_error_px.unwrap_or(1.0));
         if let Some(policy) = &arguments.policy {
             if arguments.max_error_px.is_some() && matches!(policy, Policy::Distance(_)) {
@@ -302,12 +299,6 @@ fn query(arguments: &Arguments, region: Region, snapshot: &Snapshot) -> anyhow::
         query = query.capacity(capacity);
     }
     Ok(with_attributes(query, &arguments.attributes))
-}
-
-/// Reads a view file.
-pub(super) fn read_view(path: &Path) -> anyhow::Result<Camera> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("{}: reading the view failed", path.display()))?;
-    serde_json::from_str(&text).with_context(|| format!("{}: is no view", path.display()))
 }
 
 /// Says what a user may not expect: a region beside the site, points on the faces that a half-open box leaves out.

@@ -1,11 +1,15 @@
 //! `esker view`: the window.
 
-use super::Outcome;
+use super::cameras::OneCamera;
+use super::which::filter;
+use super::{Outcome, values};
 use crate::export::{ExportOptions, Target, export};
 use crate::query::{Query, Region};
+use crate::render::ColorMode;
 use crate::store::{Snapshot, Store};
+use crate::stream::ScanChoice;
 use crate::viewer::remembered::Remembered;
-use crate::viewer::{Options, Wanted, parse_script};
+use crate::viewer::{Options, Start, Wanted, parse_script};
 use anyhow::Context;
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -17,12 +21,26 @@ use std::time::Instant;
 /// Opens at once and refines, within a budget of points. Shows new scans as an ingest commits them. H in the window
 /// lists what mouse and keys do.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  esker view site.esker\n\n\
+#[command(
+    after_help = "Examples:\n  esker view site.esker\n  esker view site.esker --bookmark door --color height\n  \
+                  esker view site.esker --where 'Classification in (2, 6)'\n\n\
                   In the window: left drag turns, right drag moves, the wheel zooms, a double click goes there; W A S D \
-                  fly, G walks, F shows everything, H shows all keys.")]
+                  fly, G walks, F shows everything, H shows all keys."
+)]
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
+    #[command(flatten)]
+    camera: OneCamera,
+    /// Colours to begin with: rgb, intensity, height, class, return, scan, level or time.
+    #[arg(long, value_name = "MODE")]
+    color: Option<ColorMode>,
+    /// Shows only points for which this is true; can be changed in the window.
+    #[arg(long = "where", value_name = "EXPR", allow_hyphen_values = true)]
+    filter: Option<String>,
+    /// Shows only this scan, by name or id, until others are switched on; may be given several times.
+    #[arg(long = "scan", value_name = "NAME", value_parser = values::name, allow_hyphen_values = true)]
+    scans: Vec<String>,
     /// Does what a script says in place of hands (docs/viewer.md).
     #[arg(long, value_name = "FILE", hide = true)]
     script: Option<PathBuf>,
@@ -34,7 +52,10 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let started = Instant::now();
     let store = Store::open(&arguments.store)?;
-    let lattice = store.snapshot()?.site().lattice.clone();
+    let snapshot = store.snapshot()?;
+    let lattice = snapshot.site().lattice.clone();
+    let start = start(arguments, &snapshot)?;
+    drop(snapshot);
     let script = match &arguments.script {
         None => Vec::new(),
         Some(path) => {
@@ -47,8 +68,21 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let exporter = Arc::new(|snapshot: &Snapshot, wanted: &Wanted, path: &Path| {
         export_box(snapshot, wanted, path).map_err(|e| super::output::one_line(&e))
     });
-    crate::viewer::run(Options { started, store, lattice, name, exporter, remember, script })?;
+    crate::viewer::run(Options { started, store, lattice, name, start, exporter, remember, script })?;
     Ok(Outcome::Done)
+}
+
+fn start(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Start> {
+    let filter = arguments.filter.as_ref().map(|text| filter(text, snapshot)).transpose()?;
+    if let Some(filter) = &filter {
+        filter.check(snapshot)?;
+    }
+    let mut scans = ScanChoice::default();
+    if !arguments.scans.is_empty() {
+        let asked = Query::new().scans(arguments.scans.iter().cloned()).asked_scans(snapshot)?;
+        snapshot.scans().iter().for_each(|s| scans.set(s.id, s.visible, asked.contains(&s.id)));
+    }
+    Ok(Start { camera: arguments.camera.get(snapshot)?, mode: arguments.color, scans, filter })
 }
 
 /// The points of a box that are seen, with all their attributes.

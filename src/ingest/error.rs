@@ -29,7 +29,7 @@ pub enum IngestError {
     #[error("--name names one scan; give one input of one scan with it")]
     NameOfMany,
     /// A name without a character.
-    #[error("a scan's name can't be empty")]
+    #[error("a name can't be empty")]
     NoName,
     /// A scan of this name is there.
     #[error("the store has another scan named '{0}'; give another name")]
@@ -72,8 +72,22 @@ pub enum IngestError {
         name: String,
     },
     /// Nothing was ever stored.
-    #[error("{0}: an ingest was cut off before anything was stored; give it again, with --crs")]
+    #[error("{0}: an ingest was cut off before anything was stored; give that again first")]
     Unfinished(PathBuf),
+    /// A camera of this name is kept already.
+    #[error("the store has a bookmark '{0}'; give another name; --force puts it in its place")]
+    BookmarkTaken(String),
+    /// There is no such camera.
+    #[error("the store has no bookmark '{name}'; there are: {there}")]
+    NoBookmark {
+        /// What was asked for.
+        name: String,
+        /// Those that there are, in words.
+        there: String,
+    },
+    /// What is kept under this name is no view.
+    #[error("bookmark '{0}' is no view")]
+    BookmarkUnread(String, #[source] serde_json::Error),
     /// The site is in another CRS.
     #[error("the site's CRS is {has}, not {asked}; --force puts it in its place, and no coordinate changes")]
     HasCrs {

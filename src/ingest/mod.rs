@@ -8,6 +8,7 @@
 //! layer of their own ([`layers`]). The tree is the canonical one whatever the order of scans.
 
 mod batch;
+mod bookmarks;
 mod budget;
 mod build;
 mod bulk;
@@ -40,6 +41,7 @@ mod stored;
 mod subtrees;
 mod writing;
 
+pub use bookmarks::{bookmark, keep_bookmark, remove_bookmark};
 pub use context::Resources;
 pub use edit::{Compacted, Removed, compact, digest, remove, replace, set_visible};
 pub use error::IngestError;

@@ -93,8 +93,24 @@ impl Lanes {
 
     /// Runs `read` on a connection that sees the snapshot's generation.
     pub fn with<R>(&self, read: impl FnOnce(&Connection) -> Result<R, RowError>) -> Result<R, StoreError> {
+        self.with_lane(false, read)
+    }
+
+    /// The same, for what changes without a new generation: reads what is there now, as long as that is the newest one.
+    pub fn with_renewed<R>(&self, read: impl FnOnce(&Connection) -> Result<R, RowError>) -> Result<R, StoreError> {
+        self.with_lane(self.renews, read)
+    }
+
+    fn with_lane<R>(
+        &self,
+        renewed: bool,
+        read: impl FnOnce(&Connection) -> Result<R, RowError>,
+    ) -> Result<R, StoreError> {
         let mut guard = Guard { lanes: self, lane: Some(self.take()?) };
         let Some(lane) = guard.lane.as_mut() else { return Err(StoreError::Busy { path: self.place.path().into() }) };
+        if renewed {
+            self.renew(lane);
+        }
         let result = match self.generation {
             // What the snapshot knows itself is not asked for; of anything else all that is read is of one generation at least.
             0 => begin(&lane.connection).and_then(|_| {

@@ -272,13 +272,16 @@ impl Snapshot {
         std::mem::take(&mut *lock(&self.inner.reads))
     }
 
-    /// Named cameras, as JSON, by name.
+    /// Named cameras, as JSON, by name. They belong to no generation: those that there are now, unless there is a newer one.
     ///
     /// # Errors
     ///
     /// [`StoreError::Damaged`] if a row is wrong.
     pub fn bookmarks(&self) -> Result<Vec<(String, String)>, StoreError> {
-        self.inner.with(rows::load_bookmarks)
+        match &self.inner.source {
+            Source::File(lanes) => lanes.with_renewed(rows::load_bookmarks),
+            Source::Memory => self.with(rows::load_bookmarks),
+        }
     }
 
     pub(super) fn with<R>(&self, read: impl FnOnce(&Connection) -> Result<R, RowError>) -> Result<R, StoreError> {

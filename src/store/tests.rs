@@ -573,6 +573,20 @@ fn a_full_disk_leaves_the_store_as_it_was() {
     assert_eq!(content(&store.snapshot().unwrap()).unwrap(), sorted(some_points(900)));
 }
 
+/// They make no new generation, and are there at once for whoever holds a snapshot.
+#[test]
+fn a_bookmark_that_another_handle_keeps_is_seen_at_once() {
+    let (_folder, path) = folder();
+    let store = Store::create(&path, options()).unwrap();
+    replace(&store, some_points(700));
+    let snapshot = store.snapshot().unwrap();
+    for i in 0..20 {
+        let name = format!("view {i:02}");
+        Store::open(&path).unwrap().writer().unwrap().put_bookmark(&name, "{}").unwrap();
+        assert_eq!(snapshot.bookmarks().unwrap().last().unwrap().0, name);
+    }
+}
+
 #[test]
 fn bookmarks_come_back() {
     let store = Store::in_memory(options()).unwrap();

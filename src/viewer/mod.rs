@@ -19,7 +19,7 @@ mod site;
 mod window;
 mod work;
 
-pub use model::{Action, Clip, Found, FrameTimes, Model, Section};
+pub use model::{Action, Clip, Found, FrameTimes, Model, Section, Start};
 pub use script::{Step, parse as parse_script};
 pub use site::{ScanFacts, Site};
 pub use window::{Options, run};

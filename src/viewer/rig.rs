@@ -92,22 +92,31 @@ impl Rig {
 
     /// To `camera`, at once.
     pub fn place(&mut self, camera: &Camera) {
-        let pose = Pose::of(camera);
+        let pose = self.projected(camera);
         self.set(pose);
         (self.flight, self.roll_rad) = (None, 0.0);
-        match camera.projection() {
-            Projection::Perspective { fov_y_rad } => (self.fov_y_rad, self.orthographic) = (fov_y_rad, false),
-            Projection::Orthographic { height } => {
-                self.orthographic = true;
-                // At the distance at which a perspective would see that height.
-                self.distance = height / (2.0 * (self.fov_y_rad / 2.0).tan());
-            }
-        }
     }
 
     /// To `camera`, in some frames.
     pub fn fly_to(&mut self, camera: &Camera) {
-        self.start(Pose::of(camera));
+        let pose = self.projected(camera);
+        self.start(pose);
+    }
+
+    /// Projects as `camera` does; gives where it is.
+    fn projected(&mut self, camera: &Camera) -> Pose {
+        let pose = Pose::of(camera);
+        match camera.projection() {
+            Projection::Perspective { fov_y_rad } => {
+                (self.fov_y_rad, self.orthographic) = (fov_y_rad, false);
+                pose
+            }
+            Projection::Orthographic { height } => {
+                self.orthographic = true;
+                // At the distance at which a perspective would see that height.
+                Pose { distance: height / (2.0 * (self.fov_y_rad / 2.0).tan()), ..pose }
+            }
+        }
     }
 
     fn start(&mut self, to: Pose) {

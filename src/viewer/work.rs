@@ -24,7 +24,7 @@ pub struct Wanted {
     pub bounds: WorldBox,
     /// Of which scans.
     pub scans: Vec<String>,
-    /// Of which classes, if some are off.
+    /// Which of them, if not all.
     pub filter: Option<Filter>,
 }
 
@@ -42,6 +42,8 @@ pub enum Job {
     RemoveBookmark(String),
     /// Write points.
     Export(Box<Wanted>, PathBuf),
+    /// Does this mean something in the store, as a filter?
+    Filter(String),
     /// How high is the ground below?
     Ground(DVec3),
 }
@@ -53,6 +55,8 @@ pub enum News {
     Site(Box<Site>),
     /// The cameras in the store now.
     Bookmarks(Vec<(String, Camera)>),
+    /// A filter that the store has the attributes for.
+    Filter(Filter),
     /// Something to tell.
     Told(String),
     /// The ground's height below a point; none if there is none.
@@ -151,6 +155,10 @@ impl Work {
                     Err(error) => error,
                 }));
             }
+            Job::Filter(text) => tell(match self.filter(&text) {
+                Ok(filter) => News::Filter(filter),
+                Err(words) => News::Told(words),
+            }),
             Job::Ground(eye) => tell(News::Ground(self.ground(eye))),
         }
     }
@@ -182,12 +190,16 @@ impl Work {
             }));
         }
         drop(writer);
-        // A snapshot that is held may still read what was there a moment ago: read with a new handle.
-        let again = self.store.path().map(Store::open).transpose();
-        let read = again.and_then(|store| store.as_ref().unwrap_or(&self.store).snapshot()).and_then(|s| bookmarks(&s));
-        if let Ok(bookmarks) = read {
+        if let Ok(bookmarks) = self.store.snapshot().and_then(|s| bookmarks(&s)) {
             tell(News::Bookmarks(bookmarks));
         }
+    }
+
+    fn filter(&self, text: &str) -> Result<Filter, String> {
+        let filter = Filter::parse(text).map_err(|e| e.message().to_owned())?;
+        let snapshot = self.store.snapshot().map_err(|e| e.to_string())?;
+        filter.check(&snapshot).map_err(|e| e.message().to_owned())?;
+        Ok(filter)
     }
 
     /// The height below which a tenth of the points under the eye lie.

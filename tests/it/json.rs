@@ -92,6 +92,13 @@ fn every_field_is_documented_and_every_documented_field_is_there() {
     check("set-crs --json", &["set-crs", &store, "EPSG:32632", "--json"], false);
     esker_ok(&["rename", &store, "south", "site_2"]);
     check("show --json", &["show", &store, "site_2", "--json"], false);
+    fs::write(
+        at("view.json"),
+        r#"{"eye":[1,2,9],"target":[1,2,3],"up":[0,1,0],"projection":"perspective","fov_y_deg":60,"near":1,"far":90}"#,
+    )
+    .unwrap();
+    check("bookmark NAME --json", &["bookmark", &store, "door", "--view", &at("view.json"), "--json"], false);
+    check("bookmark --json", &["bookmark", &store, "--json"], false);
     check("info --json", &["info", &store, "--json"], false);
     check("digest --json", &["digest", &store, "--json"], false);
     check("verify --json", &["verify", &store, "--json"], false);

@@ -38,6 +38,51 @@ fn told(arguments: &[&str]) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
+/// A view file says of a bookmark what it is, and makes it again.
+#[test]
+fn bookmarks_are_kept_listed_printed_and_let_go() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    esker_ok(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,3\n2,3,5\n")]);
+    let before = (esker_ok(&["digest", &s]), json(&["info", &s])["generation"].clone());
+    assert_eq!(json(&["bookmark", &s]), serde_json::json!({ "bookmarks": [] }));
+    assert!(told(&["bookmark", &s]).contains("has no bookmarks"));
+    let door =
+        r#"{"eye":[1,2,9],"target":[1,2,3],"up":[0,1,0],"projection":"perspective","fov_y_deg":60,"size":[300,200]}"#;
+    let file = place.file("door.json", door);
+    assert_eq!(esker_ok(&["bookmark", &s, "door", "--view", &file]), "door: kept\n");
+    // The same again, and another one, are not lost unasked.
+    let keep = ["bookmark", &s, "door", "--view", &file];
+    esker_fails(&keep, 1, &["the store has a bookmark 'door'"]);
+    let plan = door.replace(r#""perspective","fov_y_deg":60"#, r#""orthographic","height":4"#);
+    let plan = place.file("plan.json", &plan);
+    let told_json = json(&["bookmark", &s, "door", "--view", &plan, "--force"]);
+    assert_eq!(told_json, serde_json::json!({ "name": "door", "done": "replaced" }));
+    let printed = esker_ok(&["bookmark", &s, "door"]);
+    let view: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!((&view["projection"], &view["height"]), (&"orthographic".into(), &4.0.into()));
+    let back = place.file("back.json", &printed);
+    assert_eq!(esker_ok(&["bookmark", &s, "front door", "--view", &back]), "front door: kept\n");
+    let listed = esker_ok(&["bookmark", &s]);
+    assert_eq!(listed.lines().count(), 2, "{listed}");
+    assert!(listed.contains("door        from 1.000,2.000,9.000 to 1.000,2.000,3.000, parallel, 4.000"), "{listed}");
+    let all = json(&["bookmark", &s]);
+    assert_eq!([0, 1].map(|i| &all["bookmarks"][i]["name"]), [&"door", &"front door"]);
+    assert_eq!(all["bookmarks"][0]["view"], view);
+    // A view query takes it, and says the same as with the file.
+    let asked = |camera: &[&str]| json(&[&["query", &s, "--max-error-px", "1"], camera].concat())["points"].clone();
+    assert_eq!(asked(&["--bookmark", "door"]), asked(&["--view", &plan]));
+    esker_fails(&["query", &s, "--bookmark", "gate"], 1, &["no bookmark 'gate'; there are: 'door', 'front door'"]);
+    esker_fails(&["bookmark", &s, "gate", "--remove"], 1, &["no bookmark 'gate'"]);
+    assert_eq!(esker_ok(&["bookmark", &s, "door", "--remove"]), "door: removed\n");
+    esker_fails(&["bookmark", &s, "door"], 1, &["there are: 'front door'"]);
+    esker_fails(&["bookmark", &s, " ", "--view", &file], 1, &["can't be empty"]);
+    esker_fails(&["bookmark", &s, "x", "--view", &s], 1, &["reading the view failed"]);
+    esker_fails(&["bookmark", &s, "--remove"], 2, &["NAME"]);
+    assert_eq!(before, (esker_ok(&["digest", &s]), json(&["info", &s])["generation"].clone()));
+    esker_ok(&["verify", &s, "--deep"]);
+}
+
 #[test]
 fn a_scan_is_renamed_and_nothing_else() {
     let place = Place::new();

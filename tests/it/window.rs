@@ -34,17 +34,22 @@ impl Display {
     }
 
     /// The same; `then` is called after each line, with how many there are.
-    fn view_and(
+    fn view_and(&self, folder: &Path, store: &Path, script: &str, then: impl FnMut(usize)) -> Vec<serde_json::Value> {
+        self.view_with(folder, store, &[], script, then)
+    }
+
+    fn view_with(
         &self,
         folder: &Path,
         store: &Path,
+        options: &[&str],
         script: &str,
         mut then: impl FnMut(usize),
     ) -> Vec<serde_json::Value> {
         let file = folder.join("script.txt");
         fs::write(&file, script).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_esker"));
-        command.args(["view", "--forget", "--script"]).arg(&file).arg(store).current_dir(folder);
+        command.args(["view", "--forget", "--script"]).arg(&file).arg(store).args(options).current_dir(folder);
         command.env("DISPLAY", &self.name).env_remove("WAYLAND_DISPLAY").env("XDG_RUNTIME_DIR", folder);
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut stderr = child.stderr.take().unwrap();
@@ -284,11 +289,15 @@ fn looks_stations_and_bookmarks_do_what_they_say() {
          click @bookmark.here\nwait 50\nwait complete\nstate\nclick @bookmark.remove.here\nwait 1000\nstate\n\
          # a box, twice to files\n\
          key F\nwait complete\nclick @clip\nwait 50\nclick @clip.add\nwait 50\nclick @clip.export.1\nwait 400\n\
-         click @clip.export.1\nwait 400\nclick @clip.path.1\ntext clip.laz\nclick @clip.export.1\nwait 400\nstate\nquit\n",
+         click @clip.export.1\nwait 400\nclick @clip.path.1\ntext clip.laz\nclick @clip.export.1\nwait 400\nstate\n\
+         # half of the points, a name that there is not, all again\n\
+         click @clip\nclick @places\nclick @scans\nwait 50\nclick @filter\ntext z < 2\nclick @filter.set\nwait 600\nwait complete\nstate\n\
+         click @filter\ntext 0 or Colour = 1\nclick @filter.set\nwait 600\nstate\nclick @filter.clear\nwait 300\nwait complete\nstate\nquit\n",
         station = second.replace(' ', "~")
     );
     let states = Display::start().view(folder.path(), &path("walls.esker"), &script);
-    let [plain, outlined, hazy, lit, first, stood, away, back, gone, exported] = states.as_slice() else {
+    let [plain, outlined, hazy, lit, first, stood, away, back, gone, exported, low, wrong, all] = states.as_slice()
+    else {
         panic!("{} states", states.len())
     };
     assert_eq!((&plain["outlines_px"], &plain["haze"], &plain["hint"]), (&0.0.into(), &0.0.into(), &false.into()));
@@ -310,6 +319,32 @@ fn looks_stations_and_bookmarks_do_what_they_say() {
         exported["message"].as_str().unwrap_or_default().contains("exists already; give another name"),
         "{exported}"
     );
+    let points = |state: &serde_json::Value| state["points"].as_u64().unwrap();
+    assert_eq!((&low["filter"], points(low)), (&"z < 2".into(), 1600), "{low}");
+    assert!(wrong["message"].as_str().unwrap_or_default().contains("Colour"), "{wrong}");
+    assert_eq!((&wrong["filter"], points(wrong)), (&"z < 2".into(), 1600), "{wrong}");
+    assert_eq!((&all["filter"], points(all)), (&serde_json::Value::Null, 3200), "{all}");
+}
+
+/// Where it begins, in which colours and with which points.
+#[test]
+fn the_window_begins_with_what_was_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    scanned_walls(&path("walls.ptx"));
+    let store = path("walls.esker");
+    esker_ok(&["ingest", store.to_str().unwrap(), path("walls.ptx").to_str().unwrap()]);
+    let view =
+        r#"{"eye":[10,12,3],"target":[10,25,2],"up":[0,0,1],"projection":"orthographic","height":9,"size":[640,480]}"#;
+    fs::write(path("plan.json"), view).unwrap();
+    let (store_name, view_name) = (store.to_str().unwrap(), path("plan.json").to_str().unwrap().to_owned());
+    esker_ok(&["bookmark", store_name, "plan", "--view", &view_name]);
+    let options = ["--bookmark", "plan", "--color", "height", "--where", "z < 2", "--scan", "1"];
+    let states = Display::start().view_with(folder.path(), &store, &options, "wait complete\nstate\nquit\n", |_| ());
+    let [state] = states.as_slice() else { panic!("{} states", states.len()) };
+    assert_eq!(state["eye"], serde_json::json!([10.0, 12.0, 3.0]));
+    assert_eq!((&state["points"], &state["hidden_scans"]), (&800.into(), &1.into()), "{state}");
+    assert_eq!((&state["parallel"], &state["color"]), (&true.into(), &"height".into()), "{state}");
 }
 
 /// A surveyor looks while scans come in, from none on.

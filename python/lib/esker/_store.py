@@ -166,7 +166,14 @@ class Reader:
 
     @property
     def bookmarks(self) -> Dict[str, Dict[str, Any]]:
-        """Named cameras, as ``query(view=...)`` takes them."""
+        """Named cameras that are kept in the store, as ``query(view=...)`` takes them.
+
+        >>> plan = {"eye": [0, 0, 90], "target": [0, 0, 0], "up": [0, 1, 0],
+        ...         "projection": "orthographic", "height": 50, "size": [640, 480]}
+        >>> store.keep_bookmark("plan", plan), list(store.bookmarks)
+        (False, ['plan'])
+        >>> store.remove_bookmark("plan")
+        """
         return {name: json.loads(view) for name, view in self._reader.bookmarks()}
 
     def query(
@@ -555,9 +562,7 @@ class Store(Reader):
         ('site_3', 'roof')
         """
         _check_keywords("rename", keywords, ChangeKeywords.__annotations__)
-        new = _arguments.text(name, "name")
-        if new is None:
-            raise TypeError("name must be a string, not None")
+        new = _required(name, "name")
         return str(self._changed(_esker.rename, self._named([scan])[0], new, **keywords))
 
     def set_crs(self, crs: Any, force: bool = False, **keywords: Unpack[ChangeKeywords]) -> Optional[str]:
@@ -569,6 +574,26 @@ class Store(Reader):
             _esker.set_crs, _arguments.crs_text(crs), _arguments.flag(force, "force"), **keywords
         )
         return before
+
+    def keep_bookmark(
+        self,
+        name: str,
+        view: Union[PathLike, Dict[str, Any]],
+        force: bool = False,
+        **keywords: Unpack[ChangeKeywords],
+    ) -> bool:
+        """Keeps a camera in the store under a name, for the window and for ``esker render --bookmark``: a view as
+        ``query(view=...)`` takes it. Says whether that name had another one before, which takes ``force``."""
+        _check_keywords("keep_bookmark", keywords, ChangeKeywords.__annotations__)
+        kept, json_view = _required(name, "name"), _arguments.view(view)
+        if json_view is None:
+            raise TypeError("view must be a view file or its content, not None")
+        return bool(self._changed(_esker.keep_bookmark, kept, json_view, _arguments.flag(force, "force"), **keywords))
+
+    def remove_bookmark(self, name: str, **keywords: Unpack[ChangeKeywords]) -> None:
+        """Lets go of a camera that is kept in the store."""
+        _check_keywords("remove_bookmark", keywords, ChangeKeywords.__annotations__)
+        self._changed(_esker.remove_bookmark, _required(name, "name"), **keywords)
 
     def compact(self, copy: Optional[PathLike] = None, **keywords: Unpack[ChangeKeywords]) -> Dict[str, Any]:
         """Makes one layer of all and gives free space back; with ``copy``, in a new file."""
@@ -768,6 +793,13 @@ def _check_keywords(name: str, keywords: Any, known: Iterable[str]) -> None:
     unknown = sorted(keywords.keys() - set(known))
     if unknown:
         raise TypeError(f"{name}() got an unexpected keyword argument '{unknown[0]}'")
+
+
+def _required(value: Any, name: str) -> str:
+    text: Optional[str] = _arguments.text(value, name)
+    if text is None:
+        raise TypeError(f"{name} must be a string, not None")
+    return text
 
 
 def _changed(change: Callable[..., str], *arguments: Any, progress: Optional[Progress] = None, **keywords: Any) -> Any:

@@ -6,6 +6,7 @@ mod session;
 mod statistics;
 mod walk;
 
+use super::cameras::OneCamera;
 use super::interrupt::cancelled_by_interrupt;
 use super::which::filter;
 use super::{Outcome, Usage, output, values};
@@ -25,7 +26,7 @@ use statistics::Table;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Draws a store as a PNG, from a given camera or from above the whole site; or a walk as many.
+/// Draws a store as a PNG, from a given camera or from above the whole site, from the south-west; or a walk as many.
 ///
 /// Works without a window and without a graphics card (on software Vulkan). Points are round splats as large as the
 /// spacing at their place, shaded by eye-dome lighting.
@@ -44,14 +45,10 @@ use std::time::Instant;
 pub(super) struct Arguments {
     /// The store.
     store: PathBuf,
-    /// The camera: a view file in JSON (default: the whole site from above, from the south-west).
-    #[arg(long, value_name = "VIEW.json", conflicts_with_all = ["bookmark", "path"])]
-    view: Option<PathBuf>,
-    /// A camera that is saved in the store.
-    #[arg(long, value_name = "NAME", conflicts_with = "path")]
-    bookmark: Option<String>,
+    #[command(flatten)]
+    camera: OneCamera,
     /// The cameras of a walk in JSON: numbered pictures, with what is loaded kept from one to the next.
-    #[arg(long, value_name = "CAMERAS.json")]
+    #[arg(long, value_name = "CAMERAS.json", conflicts_with = "camera")]
     path: Option<PathBuf>,
     /// Width and height in pixels (default: the view's, or 1280x720).
     #[arg(long, value_name = "WxH", value_parser = values::pixels)]
@@ -164,21 +161,10 @@ fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Cam
     let bounds = site.map(|b| WorldBounds::new(&snapshot.site().lattice, &b));
     let WorldBounds { min, max } = bounds.unwrap_or(WorldBounds { min: [0.0; 3], max: [1.0; 3] });
     let bounds = WorldBox::new(min, max).context("the site's bounds are no box")?;
-    let cameras = match (&arguments.path, &arguments.view, &arguments.bookmark) {
-        (Some(path), ..) => walk::read(path)?,
-        (None, Some(path), _) => vec![super::query::read_view(path)?],
-        (None, None, Some(name)) => {
-            let bookmarks = snapshot.bookmarks()?;
-            let found = bookmarks.iter().find(|(n, _)| n == name);
-            let (_, json) = found.with_context(|| {
-                let names: Vec<String> =
-                    bookmarks.iter().map(|(name, _)| format!("'{}'", output::clean(name))).collect();
-                let those = if names.is_empty() { "none at all".to_owned() } else { names.join(", ") };
-                format!("the store has no bookmark '{name}'; there are: {those}")
-            })?;
-            vec![serde_json::from_str(json).with_context(|| format!("bookmark '{name}' is no view"))?]
-        }
-        (None, None, None) => {
+    let cameras = match (&arguments.path, arguments.camera.get(snapshot)?) {
+        (Some(path), _) => walk::read(path)?,
+        (None, Some(camera)) => vec![camera],
+        (None, None) => {
             let is_seen = |id| snapshot.scans().iter().any(|s| s.id == id && is_seen(s));
             vec![Camera::seeing(&places(arguments, snapshot, is_seen)?, arguments.size.unwrap_or([1280, 720]))?]
         }

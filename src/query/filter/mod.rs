@@ -98,6 +98,16 @@ impl Filter {
         bind::ambiguous(&self.expression, &Names { attributes, scans, lattice, met: &Kinds::default() })
     }
 
+    /// Do all its names mean something in this store, and are they compared with what they can be compared with?
+    ///
+    /// # Errors
+    ///
+    /// [`FilterError`], as a query with this filter would give.
+    pub fn check(&self, snapshot: &Snapshot) -> Result<(), FilterError> {
+        let (attributes, scans, lattice) = (snapshot.attributes(), snapshot.scans(), &snapshot.site().lattice);
+        self.bind(&Names { attributes, scans, lattice, met: &Kinds::default() }).map(drop)
+    }
+
     /// The filter on the columns of one store.
     pub(crate) fn bind(&self, names: &Names) -> Result<BoundFilter, FilterError> {
         Ok(BoundFilter { bound: bind::bind(&self.text, &self.expression, names)? })

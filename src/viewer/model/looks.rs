@@ -75,20 +75,24 @@ impl Model {
 
     /// What the stream is to show.
     pub fn shown(&mut self) -> Option<Shown> {
-        let filter = self.class_filter();
+        let filter = self.shown_filter();
         let scans = self.scans.clone();
         let paint = self.coloring()?.paint.clone();
         Some(Shown { scans, filter, paint })
     }
 
-    /// Hides the classes that are off.
-    pub fn class_filter(&self) -> Option<Filter> {
+    /// Which points are seen: those of the filter, without the classes that are off.
+    pub fn shown_filter(&self) -> Option<Filter> {
         let there = self.site.as_ref().is_some_and(|s| s.has("Classification"));
         if self.classes_off.is_empty() || !there {
-            return None;
+            return self.filter.clone();
         }
         let classes: Vec<String> = self.classes_off.iter().map(u32::to_string).collect();
-        let text = format!("Classification is null or not (Classification in ({}))", classes.join(", "));
+        let on = format!("Classification is null or not (Classification in ({}))", classes.join(", "));
+        let text = match &self.filter {
+            Some(filter) => format!("({filter}) and ({on})"),
+            None => on,
+        };
         Filter::parse(&text).ok()
     }
 }

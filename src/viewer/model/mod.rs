@@ -13,6 +13,7 @@ use super::remembered::Remembered;
 use super::rig::{Onto, Rig};
 use super::site::Site;
 use crate::geometry::{Camera, DVec3, ImageArea, WorldBox};
+use crate::query::Filter;
 use crate::render::{ColorMode, Coloring, MAX_CLIPS, Palette};
 use crate::stream::{ScanChoice, Status};
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,6 +22,19 @@ use std::time::Duration;
 
 /// How long a message is shown.
 const MESSAGE_SECONDS: f64 = 6.0;
+
+/// What is seen at first.
+#[derive(Clone, Debug, Default)]
+pub struct Start {
+    /// From where; `None`: from where everything is seen.
+    pub camera: Option<Camera>,
+    /// In which colours; `None`: the recorded ones.
+    pub mode: Option<ColorMode>,
+    /// Of which scans.
+    pub scans: ScanChoice,
+    /// Which of their points; `None`: all.
+    pub filter: Option<Filter>,
+}
 
 /// What the window has to do for the model.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,7 +45,9 @@ pub enum Action {
     SaveBookmark(String, Box<Camera>),
     /// Take it out of the store.
     RemoveBookmark(String),
-    /// The points of a box that are seen to a file: of the scans and the classes that are on.
+    /// Show only points for which this is true, if it means something in the store.
+    Filter(String),
+    /// The points of a box that are seen to a file: of the scans and the classes that are on, under the filter.
     Export(WorldBox, PathBuf),
     /// Full screen or not.
     FullScreen,
@@ -108,6 +124,10 @@ pub struct Model {
     pub range: Option<[f64; 2]>,
     /// Classes that are not seen.
     pub classes_off: BTreeSet<u32>,
+    /// Only points for which it is true are seen.
+    pub filter: Option<Filter>,
+    /// The filter that is being typed.
+    pub filter_text: String,
     /// Boxes.
     pub clips: Vec<Clip>,
     /// Is a click a measured point?
@@ -170,6 +190,8 @@ impl Model {
             mode: ColorMode::Rgb,
             range: None,
             classes_off: BTreeSet::new(),
+            filter: None,
+            filter_text: String::new(),
             clips: Vec::new(),
             measuring: false,
             measured: Measurement::default(),
@@ -195,10 +217,24 @@ impl Model {
         }
     }
 
+    /// Begins otherwise than with all of the site in its recorded colours.
+    pub fn begin(&mut self, start: Start) {
+        let Start { camera, mode, scans, filter } = start;
+        if let Some(camera) = camera {
+            self.nav.rig.place(&camera);
+            // As if somebody had moved it there.
+            self.placed = Some(Rig::default());
+        }
+        self.mode = mode.unwrap_or(self.mode);
+        self.scans = scans;
+        self.filter_text = filter.as_ref().map(Filter::to_string).unwrap_or_default();
+        self.filter = filter;
+    }
+
     /// What there is to remember now.
     pub fn remembered(&self) -> Remembered {
         let open = self.open.iter().map(|s| s.word().to_owned()).collect();
-        Remembered { open, fov_y_deg: self.nav.rig.fov_y_deg(), ..self.set.clone() }
+        Remembered { open, ..self.set.clone() }
     }
 
     /// A newer generation is known. The first one with points is shown whole.
@@ -328,6 +364,7 @@ fn size_of_aspect(aspect: f64) -> [u32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Projection;
     use crate::lattice::Lattice;
     use crate::points::Batch;
     use crate::render::ColorDepths;
@@ -375,6 +412,28 @@ mod tests {
         assert_eq!(model.message(), Some("New: door"));
         model.advance(MESSAGE_SECONDS + 1.0);
         assert_eq!(model.message(), None);
+    }
+
+    #[test]
+    fn a_view_may_begin_where_it_was_asked_to() {
+        let (eye, target) = (DVec3::new(3.0, 4.0, 50.0), DVec3::new(20.0, 30.0, 5.0));
+        let projection = Projection::Perspective { fov_y_rad: 0.5 };
+        let seen = Camera::new(eye, target, DVec3::Z, projection, [300, 200]).unwrap();
+        let filter = Filter::parse("Intensity > 5").unwrap();
+        let mut model = Model::new("s.esker".into(), Remembered::default());
+        let mut scans = ScanChoice::default();
+        scans.set(1, true, false);
+        model.begin(Start { camera: Some(seen.clone()), mode: Some(ColorMode::Height), scans, filter: Some(filter) });
+        model.set_site(site(1, &["north", "roof"]), 1.5);
+        model.set_free_area(ImageArea::new([0.0; 2], [0.7, 1.0]), 1.5);
+        let there = model.nav.rig.camera(seen.size_px()).unwrap();
+        assert!((there.eye() - seen.eye()).length() < 1e-9 && (there.forward() - seen.forward()).length() < 1e-9);
+        assert_eq!(model.remembered().fov_y_deg, Remembered::default().fov_y_deg, "a view's angle is not a setting");
+        let shown = model.shown().unwrap();
+        assert_eq!((shown.filter.unwrap().to_string(), shown.scans.sees(1, true)), ("Intensity > 5".into(), false));
+        model.classes_off.insert(7);
+        let both = "(Intensity > 5) and (Classification is null or not (Classification in (7)))";
+        assert_eq!(model.shown_filter().unwrap().to_string(), both);
     }
 
     #[test]

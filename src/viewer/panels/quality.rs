@@ -39,6 +39,8 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
     let mut fov = model.nav.rig.fov_y_deg();
     if ui.add(Slider::new(&mut fov, 10.0..=120.0).text("degrees of view")).changed() {
         model.nav.rig.set_fov_y_deg(fov);
+        // A bookmark's own angle is not remembered, what was set here is.
+        model.set.fov_y_deg = model.nav.rig.fov_y_deg();
     }
     let response = ui.checkbox(&mut model.node_boxes, "nodes of the octree as boxes");
     mark(model, "boxes", &response);

@@ -1,6 +1,6 @@
-//! Which scans are seen.
+//! Which scans are seen, and which of their points.
 
-use super::super::model::Model;
+use super::super::model::{Action, Model};
 use super::{counted, mark};
 use egui::Ui;
 
@@ -50,4 +50,34 @@ pub(super) fn show(ui: &mut Ui, model: &mut Model) {
             });
         }
     });
+    show_filter(ui, model);
+}
+
+/// A field for a filter, as `esker query --where` takes it.
+fn show_filter(ui: &mut Ui, model: &mut Model) {
+    ui.horizontal(|ui| {
+        ui.label("Only");
+        let field =
+            egui::TextEdit::singleline(&mut model.filter_text).hint_text("Intensity > 1000").desired_width(130.0);
+        let response =
+            ui.add(field).on_hover_text("Points for which this is true, as `esker query --where` takes it; Enter");
+        mark(model, "filter", &response);
+        let entered = response.lost_focus() && ui.input(|input| input.key_pressed(egui::Key::Enter));
+        let response = ui.small_button("show");
+        mark(model, "filter.set", &response);
+        if entered || response.clicked() {
+            match model.filter_text.trim() {
+                "" => model.filter = None,
+                text => model.actions.push(Action::Filter(text.to_owned())),
+            }
+        }
+        let response = ui.small_button("all");
+        mark(model, "filter.clear", &response);
+        if response.clicked() {
+            (model.filter, model.filter_text) = (None, String::new());
+        }
+    });
+    if let Some(filter) = &model.filter {
+        ui.weak(format!("Shown: {filter}"));
+    }
 }

@@ -109,6 +109,7 @@ impl Viewer {
                         site.bookmarks = bookmarks;
                     }
                 }
+                News::Filter(filter) => self.model.filter = Some(filter),
                 News::Told(words) => {
                     self.model.tell(words);
                     self.site_asked = false;
@@ -141,13 +142,14 @@ impl Viewer {
                     self.redraw();
                 }
                 Action::SaveBookmark(name, camera) => self.worker.ask(Job::SaveBookmark(name, camera)),
+                Action::Filter(text) => self.worker.ask(Job::Filter(text)),
                 Action::RemoveBookmark(name) => self.worker.ask(Job::RemoveBookmark(name)),
                 Action::Export(bounds, path) => {
                     let site = self.model.site.as_ref();
                     let seen = |s: &&ScanFacts| self.model.scans.sees(s.id, s.visible);
                     let scans = site
                         .map_or_else(Vec::new, |site| site.scans.iter().filter(seen).map(|s| s.name.clone()).collect());
-                    let wanted = Wanted { bounds, scans, filter: self.model.class_filter() };
+                    let wanted = Wanted { bounds, scans, filter: self.model.shown_filter() };
                     self.model.tell(format!("Writing {} ...", path.display()));
                     self.worker.ask(Job::Export(Box::new(wanted), path));
                 }

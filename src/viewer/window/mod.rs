@@ -8,7 +8,7 @@ mod play;
 use super::ViewerError;
 use super::bindings::Key;
 use super::gpu::Gpu;
-use super::model::Model;
+use super::model::{Model, Start};
 use super::navigate::{Button, Click};
 use super::remembered::Remembered;
 use super::rig::Mode;
@@ -46,6 +46,8 @@ pub struct Options {
     pub lattice: Lattice,
     /// Its name, for the window's title.
     pub name: String,
+    /// What is seen at first.
+    pub start: Start,
     /// Writes the points of a box to a file.
     pub exporter: Arc<Exporter>,
     /// Where settings are remembered; `None`: nowhere.
@@ -72,7 +74,8 @@ pub fn run(options: Options) -> Result<(), ViewerError> {
     let wake = waker(&proxy);
     let worker = Worker::spawn(options.store.clone(), options.exporter.clone(), wake)?;
     worker.ask(Job::Site);
-    let model = Model::new(options.name.clone(), set);
+    let mut model = Model::new(options.name.clone(), set);
+    model.begin(options.start.clone());
     let egui = dark_context(!options.script.is_empty());
     let mut viewer = Viewer {
         options,

@@ -105,7 +105,8 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     };
     // Of a first ingest that was cut off: neither its lattice nor its CRS counts.
     let is_provisional = open.as_ref().is_some_and(|(_, writer)| writer.is_provisional());
-    let (stored, site_crs) = match &open {
+    let created = open.is_none() || is_provisional;
+    let (stored, mut site_crs) = match &open {
         Some((store, _)) if !is_provisional => {
             let snapshot = store.snapshot()?;
             refuse_another_lattice(options, &snapshot.site().lattice)?;
@@ -115,13 +116,9 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     };
     let opened = sources::open(inputs, options, &stored, context.progress)?;
     let mut report = Report { skipped: opened.skipped.clone(), ..Report::default() };
-    let had_none = site_crs.as_ref().is_none_or(Crs::is_empty);
-    let (crs, mut notes) = sources::agree_on_crs(site_crs, &opened.sources, options.ignore_crs)?;
-    if let (true, false, Some(crs)) = (had_none, stored.is_empty(), &crs) {
-        notes.push(format!(
-            "the site had no CRS; it is {} now, which is taken for that of the scans that it has, too",
-            crs.describe()
-        ));
+    if !options.keep_going {
+        // Before hours of measuring.
+        sources::agree_on_crs(site_crs.clone(), &opened.sources, options.ignore_crs)?;
     }
     let mut rest = Rest::measured(context, opened, options.keep_going, &mut stages)?;
     if rest.sources.is_empty() {
@@ -133,44 +130,41 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
         report.seconds = started.elapsed().as_secs_f64();
         return Ok(report);
     }
-    report.notes.extend(notes);
     let is_text = |source: &Source| !source.reader.info().options.is_empty();
     if options.columns.is_some() && !rest.sources.iter().any(is_text) {
         report.notes.push("no input is a file of text: the names of columns are of no use".into());
     }
-
-    let created = open.is_none() || is_provisional;
-    let (store, mut writer) = match open.take() {
-        Some(open) if !is_provisional => open,
-        left => {
-            let (lattice, notes) = choose(&evidence(&rest.sources, &rest.measured), &options.lattice)?;
-            report.notes.extend(notes);
-            let site = SiteOptions { lattice, g: options.g, leaf_capacity: options.leaf_capacity, crs: crs.clone() };
-            let made = match left {
-                Some((store, mut writer)) => writer.begin_anew(site).map(|()| (store, writer)),
-                None => Store::create_with_writer(context.path, site),
-            };
-            match made {
-                // Somebody else has come first, and their store is gone on with. (A link that leads nowhere is no store.)
-                Err(StoreError::AlreadyThere { .. } | StoreError::InUse { .. })
-                    if context.wait && !context.path.is_symlink() =>
-                {
-                    context.pause()?;
-                    return run(context, inputs, options);
-                }
-                created => created?,
-            }
-        }
-    };
-    if writer.leftovers().chunk_rows + writer.leftovers().spill_files > 0 {
+    if let Some(leftovers) = open.as_ref().map(|(_, writer)| writer.leftovers())
+        && leftovers.chunk_rows + leftovers.spill_files > 0
+    {
         report.notes.push(format!(
             "removed what a run that was cut off had left: {} chunks, {} temporary files",
-            writer.leftovers().chunk_rows,
-            writer.leftovers().spill_files
+            leftovers.chunk_rows, leftovers.spill_files
         ));
     }
+
+    let noted = report.notes.len();
+    let mut is_settled = false;
     while !rest.sources.is_empty() {
+        // Nothing is committed: the inputs that are left decide on lattice and CRS, and no other.
+        if !is_settled {
+            report.notes.truncate(noted);
+            report.notes.extend(crs_notes(site_crs.clone(), !stored.is_empty(), &rest.sources, options.ignore_crs)?);
+            if created {
+                match new_store(context, options, &rest, open.take(), &mut report.notes)? {
+                    Some(made) => open = Some(made),
+                    // Somebody else has come first, and their store is gone on with.
+                    None => {
+                        context.pause()?;
+                        return run(context, inputs, options);
+                    }
+                }
+            }
+            is_settled = true;
+        }
+        let Some((store, writer)) = &mut open else { break };
         let range = 0..first_batch(&rest.sources, context.memory);
+        let (crs, _) = sources::agree_on_crs(site_crs.clone(), &rest.sources[range.clone()], options.ignore_crs)?;
         let batch = Batch {
             sources: &rest.sources[range.clone()],
             measured: &rest.measured[range.clone()],
@@ -180,20 +174,21 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
             strict: options.strict,
             keep_going: options.keep_going,
         };
-        let added = add(context, &store, &mut writer, &batch, &mut stages, &mut report);
-        let failure = match added {
+        let failure = match add(context, store, writer, &batch, &mut stages, &mut report) {
             Ok(()) => {
+                site_crs = crs;
                 rest.drop_first(range.len());
                 if rest.sources.is_empty() {
-                    fold_at_last(context, &store, &mut writer, &mut report)?;
+                    fold_at_last(context, store, writer, &mut report)?;
                 } else {
-                    fold_if_many(context, &store, &mut writer)?;
+                    fold_if_many(context, store, writer)?;
                 }
                 continue;
             }
             // It is read once more without them.
             Err(Stopped::Unreadable(of_batch)) if options.keep_going => {
                 rest.leave_out(of_batch);
+                is_settled = !report.scans.is_empty();
                 let any = !report.scans.is_empty() || !created && !report.skipped.is_empty();
                 if any || !rest.sources.is_empty() {
                     continue;
@@ -202,7 +197,7 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
             }
             Err(stopped) => stopped.into(),
         };
-        if created && report.scans.is_empty() {
+        if let (true, true, Some((store, writer))) = (created, report.scans.is_empty(), open) {
             // Nothing was there before and nothing was added: leave no empty store behind.
             drop(store);
             writer.remove_store();
@@ -215,6 +210,52 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     report.peak_memory_bytes = peak_memory();
     report.stages = stages.into_reports();
     Ok(report)
+}
+
+/// What to tell of the CRS of `sources` beside the site's. `holds_scans`: the site has some already.
+fn crs_notes(
+    site: Option<Crs>,
+    holds_scans: bool,
+    sources: &[Source],
+    ignore: bool,
+) -> Result<Vec<String>, IngestError> {
+    let had_none = site.as_ref().is_none_or(Crs::is_empty);
+    let (crs, mut notes) = sources::agree_on_crs(site, sources, ignore)?;
+    if let (true, true, Some(crs)) = (had_none, holds_scans, &crs) {
+        notes.push(format!(
+            "the site had no CRS; it is {} now, which is taken for that of the scans that it has, too",
+            crs.describe()
+        ));
+    }
+    Ok(notes)
+}
+
+/// A new store, or one to which nothing was ever committed, for the sources that are to be read; none if somebody else has
+/// made one meanwhile that is to be waited for.
+fn new_store(
+    context: &Context<'_>,
+    options: &IngestOptions,
+    rest: &Rest,
+    left: Option<(Store, Writer)>,
+    notes: &mut Vec<String>,
+) -> Result<Option<(Store, Writer)>, IngestError> {
+    let (lattice, of_lattice) = choose(&evidence(&rest.sources, &rest.measured), &options.lattice)?;
+    notes.extend(of_lattice);
+    // The CRS comes with the first scans that name one.
+    let site = SiteOptions { lattice, g: options.g, leaf_capacity: options.leaf_capacity, crs: None };
+    let made = match left {
+        Some((store, mut writer)) => writer.begin_anew(site).map(|()| (store, writer)),
+        None => Store::create_with_writer(context.path, site),
+    };
+    match made {
+        // A link that leads nowhere is no store.
+        Err(StoreError::AlreadyThere { .. } | StoreError::InUse { .. })
+            if context.wait && !context.path.is_symlink() =>
+        {
+            Ok(None)
+        }
+        made => Ok(Some(made?)),
+    }
 }
 
 /// Joins layers if there are many, as the last thing that is done. That it can't be done is no error: what was committed counts,

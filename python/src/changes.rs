@@ -57,7 +57,10 @@ impl Wishes {
             lattice =
                 LatticeWish { quantum: Some(found.quantum_f64()), phase: Some(found.phase().map(Decimal::to_f64)) };
         }
-        let pose = |matrix: &[f64; 16]| Pose::from_matrix(matrix).map_err(|e| bad_ingest(format!("a pose: {e}")));
+        let rigid = |pose: Pose| pose.rigid_scale().map(|_| pose);
+        let pose = |matrix: &[f64; 16]| {
+            Pose::from_matrix(matrix).and_then(rigid).map_err(|e| bad_ingest(format!("a pose: {e}")))
+        };
         Ok(IngestOptions {
             lattice,
             memory_bytes: self.memory,

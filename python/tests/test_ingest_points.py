@@ -91,3 +91,23 @@ def test_what_is_no_table_of_points_is_told(tmp_path):
     bad = {**made, "x": np.where(np.arange(N) < 3, np.nan, made["x"])}
     report = esker.ingest_points(path, bad, "n")
     assert (report["scans"][0]["rejected_not_finite"], report["points"]) == (3, N - 3)
+
+
+def test_what_would_be_other_points_is_refused(tmp_path, site):
+    path = tmp_path / "s.esker"
+    rows = {"x": [1.0, 2.0], "y": [3.0, 4.0], "z": [5.0, 6.0]}
+    lattice = site.store.query(positions="lattice", capacity=10)
+    with pytest.raises(TypeError, match="lattice steps; ask for them with positions="):
+        esker.ingest_points(path, lattice, "p")
+    with pytest.raises(TypeError, match="two columns are called the same"):
+        esker.ingest_points(path, {**rows, 1: [1, 2], "1": [3, 4]}, "p")
+    for pose, why in [(np.diag([1, 1, 3, 1]), "stretches"), (np.diag([1, 1, -1, 1]), "mirrors")]:
+        with pytest.raises(esker.IngestError, match=why):
+            esker.ingest_points(path, rows, "p", poses=[pose])
+    assert not path.exists()
+    # A field that is called like an attribute of numpy's arrays, or of ours, is a field.
+    table = np.zeros(3, [("x", "f8"), ("y", "f8"), ("z", "f8"), ("points", "u1")]).view(np.recarray)
+    table.points = [7, 8, 9]
+    esker.ingest_points(path, table, "p")
+    with esker.open(path) as store:
+        assert sorted(store.query()["points"]) == [7, 8, 9]

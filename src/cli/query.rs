@@ -328,6 +328,9 @@ fn warn(arguments: &Arguments, snapshot: &Snapshot, region: &Region, answer: &An
     Ok(())
 }
 
+/// Of an attribute with more values than this the points of each are not listed for people.
+const LISTED: usize = 24;
+
 fn print_summary(answer: &Answer, summary: &[AttributeSummary]) -> std::io::Result<()> {
     output::line(format_args!("points       {}", output::grouped(answer.points)))?;
     output::line(format_args!("error bound  {}", bound(answer)))?;
@@ -345,6 +348,10 @@ fn print_summary(answer: &Answer, summary: &[AttributeSummary]) -> std::io::Resu
             a.mean.map_or_else(|| "-".to_owned(), output::mean),
             output::grouped(a.count)
         ))?;
+    }
+    for a in summary.iter().filter(|a| (2..=LISTED).contains(&a.counts.len())) {
+        let all = a.counts.iter().map(|c| format!("{}: {}", c.value, output::grouped(c.points)));
+        output::line(format_args!("{:32} {}", output::clean(&a.name), all.collect::<Vec<_>>().join("  ")))?;
     }
     Ok(())
 }

@@ -36,6 +36,13 @@ pub(super) struct Where {
 }
 
 impl Where {
+    /// Is no place asked for?
+    pub fn is_everything(&self) -> bool {
+        let Self { boxes, closed: _, spheres, oriented_boxes, polygons, frusta, heights, region } = self;
+        let solids = [boxes, spheres, oriented_boxes, heights].into_iter().all(Vec::is_empty);
+        solids && polygons.is_empty() && frusta.is_empty() && region.is_none()
+    }
+
     /// The region that is meant; boxes are half-open unless `--closed` was given.
     pub fn region(&self, lattice: &Lattice) -> anyhow::Result<Region> {
         let inf = f64::INFINITY;

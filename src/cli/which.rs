@@ -90,9 +90,8 @@ pub(super) fn tell_why_nothing(snapshot: &Snapshot, region: &Region, scans: &[St
 /// Reads a filter; says where a name means a coordinate and could be meant as an attribute's.
 pub(super) fn filter(text: &str, snapshot: &Snapshot) -> anyhow::Result<Filter> {
     let filter = Filter::parse(text)?;
-    for name in filter.ambiguous_names(snapshot) {
-        let attribute = format!("the attribute of that name is written \"{name}\", in double quotes");
-        output::tell!("esker: {name} is taken as the coordinate; {attribute}");
+    for words in filter.ambiguities(snapshot) {
+        output::tell!("esker: {}", output::clean(&words));
     }
     Ok(filter)
 }

@@ -246,7 +246,7 @@ fn begin(
     let create_options = CreateOptions {
         force: options.force,
         standard_gps_time: planned.standard_gps_time,
-        intensity: planned.intensity,
+        las_ends: planned.las_ends.clone(),
         ..CreateOptions::default()
     };
     let writer = match target {

@@ -3,14 +3,14 @@
 use super::returns::{RETURNS, WithoutReturns};
 use super::{ExportError, Meeting};
 use crate::formats::las::crs_of;
-use crate::formats::{LasTarget, OutputFormat, OutputPlan};
+use crate::formats::{LasTarget, OutputFormat, OutputPlan, las_field};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, Decimal, Lattice, LatticeBox, LatticePoint};
-use crate::points::{LasFacts, RawVlr, ScalarType};
+use crate::points::{LasFacts, RawVlr};
 use crate::query::OutputForm;
 use crate::store::model::{Scan, Site, StoredAttribute};
 use crate::store::{Snapshot, scaled_ends};
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 
 /// The plan, and what to do with attributes of two kinds.
 pub struct Planned {
@@ -22,8 +22,8 @@ pub struct Planned {
     pub without_returns: WithoutReturns,
     /// Are all GPS times adjusted standard ones?
     pub standard_gps_time: bool,
-    /// The least and the greatest intensity in the store, where that is no `u16`.
-    pub intensity: Option<[f64; 2]>,
+    /// The least and the greatest value in the store of what is called as a field of LAS but has another type.
+    pub las_ends: BTreeMap<String, [f64; 2]>,
     /// What a user should know.
     pub notes: Vec<String>,
 }
@@ -114,28 +114,39 @@ pub fn plan<'s>(
         meeting,
         without_returns,
         standard_gps_time: standard > 0 && standard == timed.len(),
-        intensity: intensity(snapshot, format),
+        las_ends: if is_las(format) { las_ends(snapshot) } else { BTreeMap::new() },
         notes,
     })
 }
 
-/// The ends of all intensities of the store: not of the answer, so that all files of a site are alike.
-fn intensity(snapshot: &Snapshot, format: OutputFormat) -> Option<[f64; 2]> {
-    let is_other = |a: &&StoredAttribute| a.attribute.name == "Intensity" && a.attribute.ty != ScalarType::U16;
-    let others = snapshot.attributes().iter().filter(is_other).filter(|_| is_las(format));
-    let ends = others.filter_map(|a| scaled_ends(snapshot, a.id));
-    ends.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+/// Of all of the store, not of the answer, so that all files of a site are alike.
+fn las_ends(snapshot: &Snapshot) -> BTreeMap<String, [f64; 2]> {
+    let mut all: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+    for StoredAttribute { id, attribute } in snapshot.attributes() {
+        if las_field(&attribute.name).is_some_and(|ty| ty != attribute.ty)
+            && let Some([low, high]) = scaled_ends(snapshot, *id)
+        {
+            let ends = all.entry(attribute.name.clone()).or_insert([low, high]);
+            *ends = [ends[0].min(low), ends[1].max(high)];
+        }
+    }
+    all
 }
 
 /// Do the records of the scan's own file name the site's CRS? They don't where another was given at ingest.
 fn says_crs(scan: &Scan, site: &Site) -> bool {
     let Some(own) = scan.las.as_ref().and_then(crs_of) else { return site.crs.is_none() };
     let Some(crs) = &site.crs else { return true };
-    let is_same = own.same_as(crs);
-    match scan.crs.as_ref() == Some(&own) {
-        true => is_same != Some(false),
-        false => is_same == Some(true) && (crs.vertical_epsg.is_none() || crs.vertical_epsg == own.vertical_epsg),
+    if own == *crs {
+        return true;
     }
+    let is_same = own.same_as(crs);
+    let of_heights = crs.vertical_epsg.is_none() || crs.vertical_epsg == own.vertical_epsg;
+    of_heights
+        && match scan.crs.as_ref() == Some(&own) {
+            true => is_same != Some(false),
+            false => is_same == Some(true),
+        }
 }
 
 /// What steps of `scale` do to the coordinates of a lattice, if anything.

@@ -100,6 +100,8 @@ pub struct ReadOptions {
     pub format: Option<InputFormat>,
     /// Applied after a file's own pose.
     pub pose: Pose,
+    /// Where a scan stands, instead of its own pose and [`ReadOptions::pose`].
+    pub pose_instead: Option<Pose>,
     /// Names of the columns of text files, instead of their own or the customary ones; from [`parse_columns`].
     pub columns: Option<Vec<String>>,
 }
@@ -177,6 +179,9 @@ pub fn open_all(path: &Path, options: &ReadOptions) -> Result<Vec<Box<dyn PointS
     let sources = open_as(file, format, options)?;
     let placed = |source: Box<dyn PointSource>| {
         let index = source.info().index;
+        if let Some(pose) = options.pose_instead {
+            return Ok(posed::place_at(source, pose));
+        }
         posed::place(source, &options.pose).map_err(|e| {
             FormatError::unsupported(path, format!("the pose of scan {} after the one given ({e})", index + 1), "")
         })

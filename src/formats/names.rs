@@ -24,8 +24,17 @@ pub(super) fn attribute_name(name: &str, ty: ScalarType) -> String {
     if let Some((_, canonical)) = normals.iter().find(|(short, _)| name.eq_ignore_ascii_case(short)) {
         return (*canonical).to_owned();
     }
-    // Not by synonyms: `time` or `class` may mean anything. And colours of other types are no LAS colours.
-    let canonical = canonical_name(name).filter(|c| same_name(c, name) && !colours.iter().any(|(c2, _)| c == c2));
+    // Not by synonyms that may mean anything: `time`, a `class` that is no byte, angles in any unit. And colours of other types are
+    // no LAS colours.
+    let is_meant = |canonical: &&str| {
+        same_name(canonical, name)
+            || match *canonical {
+                "GpsTime" | "ScanAngleRank" => false,
+                "Classification" | "Infrared" => matches!(ty, ScalarType::U8 | ScalarType::U16),
+                _ => true,
+            }
+    };
+    let canonical = canonical_name(name).filter(|c| is_meant(c) && !colours.iter().any(|(c2, _)| c == c2));
     canonical.map_or_else(|| name.to_owned(), str::to_owned)
 }
 
@@ -54,6 +63,10 @@ mod tests {
         assert_eq!(name("diffuse_red", ScalarType::U8), "diffuse_red");
         assert_eq!(name("scalar_ScanAngleRank", ScalarType::I16), "ScanAngleRank");
         assert_eq!(name("ScanAngleRank", ScalarType::I8), "ScanAngleRank.2");
+        assert_eq!(name("Class", ScalarType::U8), "Classification");
+        assert_eq!(name("class", ScalarType::F32), "class");
+        assert_eq!(name("num_returns", ScalarType::U8), "NumberOfReturns");
+        assert_eq!(name("time", ScalarType::F64), "time");
         // These never do.
         assert_eq!((name("v", ScalarType::U8), name("v", ScalarType::U16)), ("v".into(), "v".into()));
     }

@@ -10,10 +10,15 @@ use crate::points::{PositionKind, RecordLayout, ScalarType, has_other_normals, n
 ///
 /// [`PoseError`] if the two poses together leave the range of f64.
 pub(crate) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dyn PointSource>, PoseError> {
+    let pose = given.after(&source.info().pose)?;
+    Ok(place_at(source, pose))
+}
+
+/// `source` placed by `pose`, whatever its own pose is.
+pub(super) fn place_at(source: Box<dyn PointSource>, pose: Pose) -> Box<dyn PointSource> {
     let mut info = source.info().clone();
-    let pose = given.after(&info.pose)?;
-    if pose.is_identity() {
-        return Ok(source);
+    if pose.is_identity() && info.pose.is_identity() {
+        return source;
     }
     let scale = info.las.as_ref().map(|l| (l.scale, l.offset));
     let grid = info.grid.map(|g| scale.unwrap_or((g.scale.map(|d| d.to_f64()), g.offset.map(|d| d.to_f64()))));
@@ -29,7 +34,7 @@ pub(crate) fn place(source: Box<dyn PointSource>, given: &Pose) -> Result<Box<dy
         info.warnings.push(kept.into());
     }
     let normals = turns.then(|| Normals::of(&info.layout)).flatten();
-    Ok(Box::new(Posed { source, info, grid, normals }))
+    Box::new(Posed { source, info, grid, normals })
 }
 
 struct Posed {

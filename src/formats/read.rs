@@ -27,6 +27,8 @@ pub struct SourceInfo {
     pub missing: u64,
     /// The source's integer grid; `None` for floating-point sources.
     pub grid: Option<SourceGrid>,
+    /// Are x and y degrees, as names of columns say?
+    pub degrees: bool,
     /// Without a grid: the step that a store should have for these coordinates, if the source can tell.
     pub step: Option<Decimal>,
     /// Are coordinates floats of 32 bits? At 5,000,000 these are half a metre apart.
@@ -56,6 +58,7 @@ impl SourceInfo {
             records,
             missing,
             grid: None,
+            degrees: false,
             step: None,
             is_single: false,
             bounds_hint: None,

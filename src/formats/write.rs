@@ -11,7 +11,7 @@ mod raster;
 mod rows;
 
 pub use destination::{OutputFile, check_output, is_database, remove_unfinished};
-pub use las::CreationDate;
+pub use las::{CreationDate, las_field};
 pub use raster::{Raster, RasterFormat, write_raster};
 
 use super::FormatError;
@@ -22,6 +22,7 @@ use destination::Destination;
 use las::{LasOptions, LasWriter, Records};
 use numpy::{NpyWriter, NpzWriter};
 use ply::PlyWriter;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -86,7 +87,7 @@ pub struct OutputPlan {
 }
 
 /// What may be said of an output beyond its plan.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct CreateOptions {
     /// Replace an existing file?
     pub force: bool,
@@ -95,20 +96,20 @@ pub struct CreateOptions {
     /// Are the GPS times of a merged LAS file adjusted standard ones, not seconds of a week? For
     /// [`LasTarget::AsSource`] the source says.
     pub standard_gps_time: bool,
-    /// The least and the greatest value of an attribute `Intensity` that a merged LAS file's own field, a `u16`, can't hold:
-    /// the field has it brought to 16 bits, where these are known.
-    pub intensity: Option<[f64; 2]>,
+    /// By its name, the least and the greatest value of an attribute that is called as a field of LAS but has another type
+    /// ([`las_field`]): where these fit, a merged LAS file's own field has the values, too.
+    pub las_ends: BTreeMap<String, [f64; 2]>,
     /// The date in a LAS header; today, if `None`. For files that must be the same whenever they are made.
     pub creation_date: Option<CreationDate>,
 }
 
 impl CreateOptions {
-    fn las(&self, format: OutputFormat) -> LasOptions {
+    fn las(&self, format: OutputFormat) -> LasOptions<'_> {
         LasOptions {
             compressed: format == OutputFormat::Laz,
             date: self.creation_date.unwrap_or_else(CreationDate::today),
             standard_time: self.standard_gps_time,
-            intensity: self.intensity,
+            ends: &self.las_ends,
             points: self.points,
         }
     }

@@ -181,6 +181,23 @@ impl Camera {
         let (Framed { eye, distance, .. }, backward) = best.ok_or(CameraError::NoDirection)?;
         Self::new(eye, eye - backward * distance, DVec3::Z, projection, size_px)
     }
+
+    /// The plan of a whole site: straight from above, north up, in parallel; all places are on the image, as large as they can
+    /// be.
+    ///
+    /// # Errors
+    ///
+    /// As [`Camera::seeing`].
+    pub fn above(places: &[DVec3], size_px: [u32; 2]) -> Result<Self, CameraError> {
+        let fov_y_rad = DEFAULT_FOV_Y_DEG.to_radians();
+        let high = |distance: f64| Projection::Orthographic { height: 2.0 * (fov_y_rad / 2.0).tan() * distance };
+        let unit = Self::new(DVec3::Z, DVec3::ZERO, DVec3::Y, high(1.0), size_px)?;
+        let axes = unit.view_from_relative().transpose();
+        let framing = Framing { axes, fov_y_rad, aspect: unit.aspect(), parallel: true, area: ImageArea::WHOLE };
+        let framed = framing.eye_for(places);
+        let Framed { eye, distance, .. } = framed.unwrap_or(Framed { eye: DVec3::Z, distance: 1.0, filled: 0.0 });
+        Self::new(eye, eye - DVec3::Z * distance, DVec3::Y, high(distance), size_px)
+    }
 }
 
 #[cfg(test)]

@@ -126,22 +126,20 @@ pub fn replace(
         let (old, others): (Vec<Scan>, Vec<Scan>) =
             snapshot.scans().iter().cloned().partition(|s| replaced.contains(&s.id));
         refuse_another_lattice(options, &snapshot.site().lattice)?;
-        let site_crs = snapshot.site().crs.clone();
+        let (site_crs, lattice) = (snapshot.site().crs.clone(), snapshot.site().lattice.clone());
         drop(snapshot);
+        let stored = sources::Stored { scans: &others, lattice: Some(&lattice) };
         let opened = match (input, old.first()) {
-            (Some(input), _) => {
-                sources::open(&sources::Inputs::Files(&[input.to_owned()]), options, &others, progress)?
+            (Some(input), Some(old)) => {
+                let input = sources::Inputs::InPlaceOf(&old.name, &input.to_owned());
+                sources::open(&input, options, stored, progress)?
             }
             (None, Some(old)) => {
                 let again = sources::open_again(old, options, progress)?;
                 sources::Sources { sources: vec![again], ..sources::Sources::default() }
             }
-            (None, None) => return Err(IngestError::Internal("a scan without a row".into())),
+            (_, None) => return Err(IngestError::Internal("a scan without a row".into())),
         };
-        let mut opened = opened;
-        if let Some(old) = old.first() {
-            opened.keep_the_one_named(&old.name);
-        }
         let mut sources = opened.sources;
         if let ([source], Some(old), None) = (&mut sources[..], old.first(), &options.name) {
             source.name = old.name.clone();

@@ -39,6 +39,7 @@ mod spill;
 mod split;
 mod stored;
 mod subtrees;
+mod versions;
 mod writing;
 
 pub use bookmarks::{bookmark, keep_bookmark, remove_bookmark};

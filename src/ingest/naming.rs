@@ -10,13 +10,19 @@ const LONGEST: usize = 200;
 /// A name for a scan of the file `path` that is not in `taken`, which gets it. `own`: what the file calls it; `number`: its
 /// number in the file, counted from one, if that has several.
 pub(super) fn unique_name(path: &Path, own: Option<&str>, number: Option<u32>, taken: &mut HashSet<String>) -> String {
+    let (base, longer) = natural_names(path, own, number);
+    numbered_name(&longer.filter(|_| taken.contains(&base)).unwrap_or(base), taken)
+}
+
+/// What a scan is called, and what it is called where that is taken.
+pub(super) fn natural_names(path: &Path, own: Option<&str>, number: Option<u32>) -> (String, Option<String>) {
     let stem = stem(path);
     let own = own.map(clean).filter(|n| !n.is_empty());
     // Points that a program had in memory are no file: what they are called is all that there is.
     if let Some(own) = own.as_deref().filter(|own| path == Path::new(own)) {
-        return numbered_name(own, taken);
+        return (own.to_owned(), None);
     }
-    let (base, longer) = match (own, number) {
+    match (own, number) {
         (Some(own), _) => {
             let longer = format!("{stem}/{own}");
             (own, Some(longer))
@@ -27,14 +33,7 @@ pub(super) fn unique_name(path: &Path, own: Option<&str>, number: Option<u32>, t
             let longer = folder.map(|folder| format!("{}/{base}", folder.to_string_lossy()));
             (base, longer)
         }
-    };
-    numbered_name(&longer.filter(|_| taken.contains(&base)).unwrap_or(base), taken)
-}
-
-/// Is `name` what a scan that its file, at `path`, calls `own` is called in a store, but for numbers?
-pub(super) fn is_name_of(path: &Path, own: &str, name: &str) -> bool {
-    let own = clean(own);
-    name == own || name == format!("{}/{own}", stem(path))
+    }
 }
 
 /// `base`, with a number if it is in `taken` already; `taken` gets it.

@@ -106,15 +106,17 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     // Of a first ingest that was cut off: neither its lattice nor its CRS counts.
     let is_provisional = open.as_ref().is_some_and(|(_, writer)| writer.is_provisional());
     let created = open.is_none() || is_provisional;
-    let (stored, mut site_crs) = match &open {
+    let (stored, lattice, mut site_crs) = match &open {
         Some((store, _)) if !is_provisional => {
             let snapshot = store.snapshot()?;
             refuse_another_lattice(options, &snapshot.site().lattice)?;
-            (snapshot.scans().to_vec(), snapshot.site().crs.clone())
+            let site = snapshot.site();
+            (snapshot.scans().to_vec(), Some(site.lattice.clone()), site.crs.clone())
         }
-        _ => (Vec::new(), None),
+        _ => (Vec::new(), None, None),
     };
-    let opened = sources::open(inputs, options, &stored, context.progress)?;
+    let known = sources::Stored { scans: &stored, lattice: lattice.as_ref() };
+    let opened = sources::open(inputs, options, known, context.progress)?;
     let mut report = Report { skipped: opened.skipped.clone(), ..Report::default() };
     if !options.keep_going {
         // Before hours of measuring.
@@ -386,7 +388,7 @@ fn evidence(sources: &[Source], measured: &[Option<WorldBounds>]) -> Vec<Evidenc
         grid: source.reader.info().grid,
         bounds: *bounds,
         step: source.reader.info().step,
-        geographic: source.crs.as_ref().is_some_and(Crs::is_geographic),
+        geographic: source.crs.as_ref().map_or(source.reader.info().degrees, Crs::is_geographic),
     };
     sources.iter().zip(measured).map(of).collect()
 }

@@ -1,12 +1,14 @@
 //! The inputs of one command: opened, recognised, named, and compared with what the store has.
 
 use super::identity::{content_hash, scan_identity};
-use super::naming::{is_name_of, unique_name};
+use super::naming::{natural_names, unique_name};
 use super::progress::Progress;
 use super::report::Skipped;
+use super::versions::Versions;
 use super::{IngestError, IngestOptions};
 use crate::formats::{self, PointSource, PointTable, ReadOptions, TableSource};
 use crate::geometry::Pose;
+use crate::lattice::Lattice;
 use crate::points::{Crs, counted};
 use crate::store::model::Scan;
 use std::collections::{HashMap, HashSet};
@@ -51,6 +53,17 @@ impl Source {
         stored.iter().find(same)
     }
 
+    /// What it is called in a store, and what where that is taken.
+    pub fn names(&self) -> (String, Option<String>) {
+        let info = self.reader.info();
+        natural_names(&info.path, info.scan_name.as_deref(), self.number)
+    }
+
+    /// Are there more scans in its file?
+    pub fn is_of_several(&self) -> bool {
+        self.number.is_some()
+    }
+
     /// The file, and which of its scans.
     fn label(&self) -> String {
         let info = self.reader.info();
@@ -70,34 +83,28 @@ pub(super) struct Sources {
     pub unreadable: Vec<(PathBuf, IngestError)>,
 }
 
-impl Sources {
-    /// Of a file of several scans of which one is called `name`, keeps that one; says so of the others.
-    pub fn keep_the_one_named(&mut self, name: &str) {
-        let is_it = |s: &Source| {
-            let info = s.reader.info();
-            info.scan_name.as_deref().is_some_and(|own| is_name_of(&info.path, own, name))
-        };
-        if self.sources.len() < 2 || self.sources.iter().filter(|s| is_it(s)).count() != 1 {
-            return;
-        }
-        let (kept, others): (Vec<_>, Vec<_>) = std::mem::take(&mut self.sources).into_iter().partition(is_it);
-        self.sources = kept;
-        let reason = format!("not the scan that takes the place of '{name}'");
-        let skip = |s: &Source| Skipped { path: s.label(), reason: reason.clone(), rejected: 0 };
-        self.skipped.extend(others.iter().map(skip));
-    }
-}
-
 /// What is to be ingested.
 pub(super) enum Inputs<'a> {
     /// Files and folders.
     Files(&'a [PathBuf]),
+    /// A file that takes the place of the scan of this name: of several scans in it the one that is called so, if there is one.
+    InPlaceOf(&'a str, &'a PathBuf),
+    /// A file whose scans stand here, whatever it says itself.
+    At(Pose, &'a PathBuf),
     /// Points in memory.
     Table(Arc<PointTable>),
 }
 
 /// The sources of some inputs, before they are compared with what is there.
 type Opened = (Vec<Source>, Vec<Skipped>, Vec<(PathBuf, IngestError)>);
+
+/// What inputs are compared with.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Stored<'a> {
+    pub scans: &'a [Scan],
+    /// What their bounds mean.
+    pub lattice: Option<&'a Lattice>,
+}
 
 /// A table as the one source.
 fn open_table(table: Arc<PointTable>, options: &IngestOptions, progress: &dyn Progress) -> Result<Opened, IngestError> {
@@ -121,11 +128,13 @@ fn open_table(table: Arc<PointTable>, options: &IngestOptions, progress: &dyn Pr
 pub(super) fn open(
     inputs: &Inputs<'_>,
     options: &IngestOptions,
-    stored: &[Scan],
+    stored: Stored<'_>,
     progress: &dyn Progress,
 ) -> Result<Sources, IngestError> {
     let opened = match inputs {
         Inputs::Files(paths) => open_files(paths, options)?,
+        Inputs::InPlaceOf(name, path) => keep_the_one_named(name, open_files(std::slice::from_ref(path), options)?),
+        Inputs::At(pose, path) => (open_file(path, Standing::At(*pose), options)?, Vec::new(), Vec::new()),
         Inputs::Table(table) => open_table(table.clone(), options, progress)?,
     };
     compare(opened, options, stored, progress)
@@ -157,7 +166,7 @@ fn open_files(inputs: &[PathBuf], options: &IngestOptions) -> Result<Opened, Ing
     let mut unreadable: Vec<_> = missing.into_iter().filter_map(why).collect();
     let mut opened = Vec::new();
     for (path, pose) in listed.files.into_iter().zip(poses) {
-        match open_file(&path, pose, options) {
+        match open_file(&path, Standing::After(pose), options) {
             Ok(of_file) => opened.extend(of_file),
             Err(error) if options.keep_going => unreadable.push((path, error)),
             Err(error) => return Err(error),
@@ -166,13 +175,45 @@ fn open_files(inputs: &[PathBuf], options: &IngestOptions) -> Result<Opened, Ing
     Ok((opened, skipped, unreadable))
 }
 
+/// Of several scans of which one is called `name`, keeps that one; says so of the others.
+fn keep_the_one_named(name: &str, (opened, mut skipped, unreadable): Opened) -> Opened {
+    // What they would be called in a store that has no others; of those that are called so twice the second has a longer name.
+    let mut taken = HashSet::new();
+    let called = |s: &Source| {
+        let info = s.reader.info();
+        unique_name(&info.path, info.scan_name.as_deref(), s.number, &mut taken)
+    };
+    let called: Vec<String> = opened.iter().map(called).collect();
+    let may_be = |s: &Source| {
+        let (base, longer) = s.names();
+        base == name || longer.is_some_and(|longer| longer == name)
+    };
+    let may_be: Vec<usize> = (0..opened.len()).filter(|&i| may_be(&opened[i])).collect();
+    let place = match (called.iter().position(|called| called == name), &may_be[..]) {
+        (Some(place), _) | (None, &[place]) => place,
+        _ => return (opened, skipped, unreadable),
+    };
+    let mut kept = Vec::new();
+    for (i, source) in opened.into_iter().enumerate() {
+        if i == place {
+            kept.push(source);
+        } else {
+            let reason = format!("not the scan that takes the place of '{name}'");
+            skipped.push(Skipped { path: source.label(), reason, rejected: 0 });
+        }
+    }
+    (kept, skipped, unreadable)
+}
+
 /// Leaves out what the store has already, or what is given twice, and names the rest.
 fn compare(
     (opened, mut skipped, mut unreadable): Opened,
     options: &IngestOptions,
-    stored: &[Scan],
+    stored: Stored<'_>,
     progress: &dyn Progress,
 ) -> Result<Sources, IngestError> {
+    let versions = Versions::of(stored);
+    let stored = stored.scans;
     // Hash ahead only what could be there already.
     let mut sizes: HashMap<u64, usize> = HashMap::new();
     stored.iter().map(|s| s.source_bytes).chain(opened.iter().map(|s| s.bytes)).for_each(|size| {
@@ -227,28 +268,15 @@ fn compare(
             Some(_) => return Err(IngestError::NameOfMany),
             None => unique_name(&path, source.reader.info().scan_name.as_deref(), source.number, &mut taken),
         };
-        if let Some(scan) = stored.iter().find(|scan| is_new_version(&source, scan)) {
+        if let Some(scan) = versions.of_source(&source) {
             source.warnings.push(format!(
-                "the store has an older version as '{}', and both are there now; `esker replace` puts a new one in its place",
+                "the store has another version as '{}', and both are there now; `esker replace` puts a new one in its place",
                 scan.name
             ));
         }
         sources.push(source);
     }
     Ok(Sources { sources, skipped, unreadable })
-}
-
-/// Does a source, whose content is new, look like a new version of a stored scan: the same path, or a file of the same name
-/// with a scan of the same name in it?
-fn is_new_version(source: &Source, stored: &Scan) -> bool {
-    let info = source.reader.info();
-    let of = Path::new(&stored.source);
-    let own = info.scan_name.as_deref();
-    let is_named = own.is_some_and(|own| is_name_of(&info.path, own, &stored.name));
-    let is_path = std::path::absolute(&info.path).is_ok_and(|path| path == of);
-    // Of several scans in a file the one that is called so.
-    is_path && (own.is_none() && source.number.is_none() || is_named)
-        || is_named && info.path.file_name() == of.file_name()
 }
 
 /// What a scan that is there already keeps, though the options ask for something else.
@@ -263,9 +291,22 @@ fn kept_of(scan: &Scan, options: &IngestOptions) -> &'static str {
     }
 }
 
+/// Where the scans of a file stand.
+#[derive(Clone, Copy)]
+enum Standing {
+    /// Where the file says, and then moved by this.
+    After(Pose),
+    /// Here.
+    At(Pose),
+}
+
 /// The scans of a file.
-fn open_file(path: &Path, pose: Pose, options: &IngestOptions) -> Result<Vec<Source>, IngestError> {
-    let how = ReadOptions { pose, columns: options.columns.clone(), ..ReadOptions::default() };
+fn open_file(path: &Path, standing: Standing, options: &IngestOptions) -> Result<Vec<Source>, IngestError> {
+    let (pose, pose_instead) = match standing {
+        Standing::After(pose) => (pose, None),
+        Standing::At(pose) => (Pose::IDENTITY, Some(pose)),
+    };
+    let how = ReadOptions { pose, pose_instead, columns: options.columns.clone(), ..ReadOptions::default() };
     let readers = formats::open_all(path, &how)?;
     let bytes = std::fs::metadata(path).map(|m| m.len()).map_err(|source| formats::FormatError::Io {
         path: path.to_owned(),
@@ -302,13 +343,10 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
     if path.is_relative() {
         return Err(IngestError::Relative { path, name: old.name.clone() });
     }
-    let opened = |pose: Pose| {
-        let poses = vec![pose];
-        let options = IngestOptions { poses, name: None, ..options.clone() };
-        open(&Inputs::Files(std::slice::from_ref(&path)), &options, &[], progress)
-    };
+    let unnamed = IngestOptions { name: None, ..options.clone() };
+    let opened = |inputs: &Inputs<'_>| open(inputs, &unnamed, Stored::default(), progress);
     let given = options.poses.first().copied();
-    let mut sources = opened(given.unwrap_or_default())?.sources;
+    let mut sources = opened(&Inputs::Files(std::slice::from_ref(&path)))?.sources;
     let content = content_hash(&path, &|| progress.cancelled())?.ok_or(IngestError::Interrupted)?;
     // Its number in the file is part of its identity; in a file that has changed, its name there must do.
     let is_old = |s: &Source| {
@@ -323,12 +361,10 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
     });
     let lost = || IngestError::Changed { path: path.clone(), name: old.name.clone() };
     let mut source = number.filter(|&n| n < sources.len()).map(|n| sources.swap_remove(n)).ok_or_else(lost)?;
-    let own = source.reader.info().pose;
     if given.is_none() && source.pose() != old.pose {
-        // It was given one: what comes after the file's own.
-        let kept = Pose::from_matrix(&old.pose).and_then(|pose| pose.after(&own.inverted()?));
-        let (kept, index) = (kept.map_err(|_| lost())?, source.reader.info().index);
-        let again = opened(kept)?.sources;
+        // It was given one: as before, to the bit, or it would be another scan.
+        let (kept, index) = (Pose::from_matrix(&old.pose).map_err(|_| lost())?, source.reader.info().index);
+        let again = opened(&Inputs::At(kept, &path))?.sources;
         source = again.into_iter().find(|s| s.reader.info().index == index).ok_or_else(lost)?;
     }
     if options.name.as_ref().is_some_and(|name| name.trim().is_empty()) {
@@ -359,6 +395,7 @@ pub(super) fn agree_on_crs(
 ) -> Result<(Option<Crs>, Vec<String>), IngestError> {
     let mut notes = Vec::new();
     let mut site = site.filter(|c| !c.is_empty());
+    let is_new = site.is_none();
     let mut of: Option<PathBuf> = None;
     for source in sources {
         let Some(crs) = &source.crs else { continue };
@@ -369,6 +406,11 @@ pub(super) fn agree_on_crs(
                 of = Some(path.clone());
             }
             Some(expected) => match expected.same_as(crs) {
+                // What says in which system heights are, too, says more, whichever comes first.
+                Some(true) if is_new && expected.vertical_epsg.is_none() && crs.vertical_epsg.is_some() => {
+                    site = Some(crs.clone());
+                    of = Some(path.clone());
+                }
                 Some(true) => {}
                 Some(false) if ignore => notes.push(format!(
                     "{}: its CRS is {}, the site's is {}; its coordinates are taken as they are (--ignore-crs)",
@@ -409,11 +451,15 @@ pub(super) fn agree_on_crs(
             max[1]
         ));
     }
-    let without = sources.iter().filter(|s| s.crs.is_none()).count();
-    if let (Some(crs), true) = (&site, without > 0) {
+    let without: Vec<String> = sources.iter().filter(|s| s.crs.is_none()).map(Source::label).collect();
+    if let (Some(crs), Some(first)) = (&site, without.first()) {
         let from = of.map(|p| format!(" of {}", p.display())).unwrap_or_default();
-        let names = if without == 1 { "input names no CRS and takes" } else { "inputs name no CRS and take" };
-        notes.push(format!("{without} {names} the site's, {}{from}", crs.describe()));
+        let which = match without.len() {
+            1 => format!("{first} names no CRS and takes"),
+            2 => format!("{first} and {} name no CRS and take", without[1]),
+            n => format!("{first} and {} other inputs name no CRS and take", n - 1),
+        };
+        notes.push(format!("{which} the site's, {}{from}", crs.describe()));
     }
     Ok((site, notes))
 }

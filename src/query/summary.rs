@@ -3,6 +3,7 @@
 //! Each batch is summed up on the thread that decoded it; what comes out is joined in the order of the batches, so it is
 //! the same on any number of threads.
 
+use super::counts::{Counts, ValueCount};
 use super::kinds::{Kinds, Widening, wider};
 use super::output::contributing;
 use super::plan::Plan;
@@ -34,6 +35,8 @@ pub struct AttributeSummary {
     /// The mean.
     #[serde(serialize_with = "mean_as_json")]
     pub mean: Option<f64>,
+    /// How many points have each value, ascending: of attributes of a byte that are no colours and have no scaling; else none.
+    pub counts: Vec<ValueCount>,
 }
 
 fn mean_as_json<S: Serializer>(mean: &Option<f64>, serializer: S) -> Result<S::Ok, S::Error> {
@@ -126,17 +129,24 @@ impl Form {
             let at = |i: usize| there.as_ref().map_or(i, |there| there[i]);
             if !widened.is_empty() {
                 let running = Running::of(count, |i| widened_value(widened, column, &batch.scans, at(i)));
-                return Values { running, whole: None };
+                return Values { running, ..Values::EMPTY };
             }
             let running = match &there {
                 None => with_column!(column, v => Running::of(count, |i| v[i] as f64)),
                 Some(there) => with_column!(column, v => Running::of(count, |i| v[there[i]] as f64)),
             };
             match (attribute.scaling, column) {
-                (Some(s), column) => Values { running: running.scaled(s, column.ty().is_float()), whole: None },
-                (None, Column::U64(v)) => Values { running, whole: ends((0..count).map(|i| v[at(i)].into())) },
-                (None, Column::I64(v)) => Values { running, whole: ends((0..count).map(|i| v[at(i)].into())) },
-                _ => Values { running, whole: None },
+                (Some(s), column) => Values { running: running.scaled(s, column.ty().is_float()), ..Values::EMPTY },
+                (None, Column::U64(v)) => {
+                    Values { running, whole: ends((0..count).map(|i| v[at(i)].into())), ..Values::EMPTY }
+                }
+                (None, Column::I64(v)) => {
+                    Values { running, whole: ends((0..count).map(|i| v[at(i)].into())), ..Values::EMPTY }
+                }
+                (None, Column::U8(v)) if !COLOURS.contains(&attribute.name.as_str()) => {
+                    Values { running, counts: Counts::of((0..count).map(|i| v[at(i)])), ..Values::EMPTY }
+                }
+                _ => Values { running, ..Values::EMPTY },
             }
         };
         Summary { axes, columns: self.attributes.iter().zip(&batch.columns).map(column).collect() }
@@ -167,7 +177,7 @@ impl Form {
                     all.add(values);
                     same.scaling = same.scaling.or(attribute.scaling);
                 }
-                _ => joined.push((Attribute { ty, ..attribute.clone() }, *values)),
+                _ => joined.push((Attribute { ty, ..attribute.clone() }, values.clone())),
             }
         }
         axes.chain(joined.iter().map(|(attribute, values)| values.summary(attribute))).collect()
@@ -256,24 +266,30 @@ fn ends(values: impl Iterator<Item = i128>) -> Option<[i128; 2]> {
     values.fold(None, |ends, v| Some(ends.map_or([v, v], |[a, b]: [i128; 2]| [a.min(v), b.max(v)])))
 }
 
+/// Their 256 values say nothing one by one.
+const COLOURS: [&str; 4] = ["Red", "Green", "Blue", "Infrared"];
+
 /// The values of an attribute.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Values {
     running: Running,
     /// The ends of values that are whole and may have more digits than an f64.
     whole: Option<[i128; 2]>,
+    counts: Counts,
 }
 
 impl Values {
-    const EMPTY: Self = Self { running: Running::EMPTY, whole: None };
+    const EMPTY: Self = Self { running: Running::EMPTY, whole: None, counts: Counts::NONE };
 
     fn add(&mut self, next: &Self) {
         self.running.add(&next.running);
         self.whole = ends(self.whole.into_iter().chain(next.whole).flatten());
+        self.counts.add(&next.counts);
     }
 
     fn summary(&self, attribute: &Attribute) -> AttributeSummary {
-        let summary = self.running.summary(&attribute.name, attribute.ty.word());
+        let counts = self.counts.there();
+        let summary = AttributeSummary { counts, ..self.running.summary(&attribute.name, attribute.ty.word()) };
         if attribute.scaling.is_some() || attribute.ty.is_float() {
             return summary;
         }
@@ -352,7 +368,7 @@ impl Running {
         // The mean of infinite values is theirs, in whatever order they came; of both signs there is none.
         let infinite: f64 = [self.min, self.max].into_iter().filter(|v| v.is_infinite()).sum();
         let mean = some(if infinite == 0.0 { self.mean } else { infinite });
-        AttributeSummary { name: name.into(), ty, count: self.count, min, max, mean }
+        AttributeSummary { name: name.into(), ty, count: self.count, min, max, mean, counts: Vec::new() }
     }
 }
 

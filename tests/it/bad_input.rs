@@ -235,6 +235,56 @@ fn inputs_that_cannot_be_read_are_left_out_where_that_is_asked_for() {
     assert!(esker_ok(&["query", &store, "--count"]).trim().parse::<u32>().unwrap() > 30_000);
 }
 
+/// Such files gave a new store their CRS and their lattice, for good.
+#[test]
+fn what_a_file_says_that_is_left_out_does_not_count() {
+    let place = Place::new();
+    let text = place.write("a.csv", b"x,y,z\n1.25,2,3\n4,5.5,6\n");
+    let fine = place.path("whole.laz");
+    esker_ok(&["generate", "terrain", "--points", "10000", "-o", &fine]);
+    let damaged = place.write("z_chunk.laz", &with_wrong_chunk(fs::read(&fine).unwrap()));
+    let info =
+        |store: &str| -> serde_json::Value { serde_json::from_str(&esker_ok(&["info", store, "--json"])).unwrap() };
+    assert_ne!(
+        info(&{
+            esker_ok(&["ingest", &place.path("f.esker"), &fine]);
+            place.path("f.esker")
+        })["crs"],
+        serde_json::Value::Null
+    );
+    let alone = place.path("alone.esker");
+    esker_ok(&["ingest", &alone, &text]);
+    let (store, later) = (place.path("s.esker"), place.path("later.esker"));
+    let output = esker(&["ingest", &store, &text, &damaged, "--keep-going"]);
+    let words = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(3) && !words.contains("names no CRS"), "{words}");
+    esker_ok(&["ingest", &later, &text]);
+    let more = place.write("b.csv", b"x,y,z\n7,8,9\n");
+    assert_eq!(esker(&["ingest", &later, &more, &damaged, "--keep-going"]).status.code(), Some(3));
+    for store in [&store, &later] {
+        for what in ["crs", "quantum", "phase"] {
+            assert_eq!(info(store)[what], info(&alone)[what], "{what}");
+        }
+        esker_ok(&["verify", store, "--deep"]);
+    }
+    assert_eq!(esker_ok(&["digest", &store]).lines().next(), esker_ok(&["digest", &alone]).lines().next());
+    // Of a file of another system that can't be read nothing is asked.
+    let other = place.path("other.las");
+    esker_ok(&["generate", "terrain", "--points", "100", "-o", &other]);
+    let mixed = place.path("mixed.esker");
+    esker_ok(&["ingest", &mixed, &text, "--crs", "EPSG:2056"]);
+    let output = esker(&[
+        "ingest",
+        &mixed,
+        &more,
+        &place.write("cut.csv", b"x,y,z\n1,2\n"),
+        "--crs",
+        "EPSG:2056",
+        "--keep-going",
+    ]);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+}
+
 #[test]
 fn a_wrong_ending_does_not_matter() {
     let place = Place::new();

@@ -153,6 +153,49 @@ fn a_scan_that_brings_the_first_crs_says_so() {
     assert!(!told(&["ingest", &s, &c, "--crs", wkt]).contains("CRS"));
 }
 
+/// The records of the source said nothing of it, and were written as they are.
+#[test]
+fn heights_that_are_given_a_system_say_so_in_las() {
+    let place = Place::new();
+    let (s, las, out) = (place.path("s.esker"), place.path("a.las"), place.path("out.las"));
+    esker_ok(&["generate", "terrain", "--points", "500", "-o", &las]);
+    esker_ok(&["ingest", &s, &las]);
+    esker_ok(&["set-crs", &s, "EPSG:32632+5783"]);
+    esker_ok(&["query", &s, "-o", &out]);
+    let back = place.path("back.esker");
+    esker_ok(&["ingest", &back, &out]);
+    assert_eq!(json(&["info", &back])["crs"]["vertical_epsg"], 5783);
+}
+
+/// It hung on which of the files came first.
+#[test]
+fn heights_in_two_systems_are_refused_in_any_order() {
+    let place = Place::new();
+    let file = |name: &str, crs: Option<u32>| {
+        let path = place.path(name);
+        let s = place.path("t.esker");
+        esker_ok(&["generate", "terrain", "--points", "100", "--seed", &name.len().to_string(), "-o", &path]);
+        if let Some(vertical) = crs {
+            esker_ok(&["ingest", &s, &path]);
+            esker_ok(&["set-crs", &s, &format!("EPSG:32632+{vertical}")]);
+            esker_ok(&["query", &s, "-o", &path, "--force"]);
+            fs::remove_file(&s).unwrap();
+        }
+        path
+    };
+    let (plain, one, other) = (file("a.las", None), file("bb.las", Some(5783)), file("ccc.las", Some(7837)));
+    for order in [[&plain, &one, &other], [&one, &plain, &other], [&one, &other, &plain], [&other, &plain, &one]] {
+        let s = place.path("s.esker");
+        esker_fails(&["ingest", &s, order[0], order[1], order[2]], 1, &["its CRS is"]);
+    }
+    for order in [[&plain, &one], [&one, &plain]] {
+        let s = place.path("s.esker");
+        esker_ok(&["ingest", &s, order[0], order[1]]);
+        assert_eq!(json(&["info", &s])["crs"]["vertical_epsg"], 5783);
+        fs::remove_file(&s).unwrap();
+    }
+}
+
 #[test]
 fn a_new_version_of_a_file_is_told_and_not_doubled_by_replace() {
     let place = Place::new();
@@ -165,9 +208,9 @@ fn a_new_version_of_a_file_is_told_and_not_doubled_by_replace() {
     esker_ok(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,3\n"), &place.file("two.ptx", &ptx(1))]);
     // Another content under the same path.
     let again = told(&["ingest", &s, &place.file("a.csv", "x,y,z\n1,2,4\n")]);
-    assert!(again.contains("the store has an older version as 'a', and both are there now"), "{again}");
-    // The same name elsewhere is another file.
-    assert!(!told(&["ingest", &s, &place.file("other/a.csv", "x,y,z\n1,2,5\n")]).contains("older version"));
+    assert!(again.contains("the store has another version as 'a', and both are there now"), "{again}");
+    // The same name in another place is another file.
+    assert!(!told(&["ingest", &s, &place.file("other/a.csv", "x,y,z\n9,2,5\n")]).contains("another version"));
     esker_ok(&["verify", &s]);
     // With another pose it is an error, or left out.
     let pose = place.file("pose.txt", "1 0 0 5\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
@@ -209,7 +252,106 @@ fn a_file_of_several_scans_replaces_the_one_of_its_name() {
     assert_eq!(heights, "X,Y,Z\n1,1,2\n");
     // The same by ingest is beside the old ones, and told.
     let both = told(&["ingest", &s, &second]);
-    assert!(both.contains("the store has an older version as 'north'"), "{both}");
+    assert!(both.contains("the store has another version as 'north'"), "{both}");
     assert_eq!(names(&s), ["north", "roof", "south", "project/north", "project/roof"]);
     esker_ok(&["verify", &s, "--deep"]);
+}
+
+/// A PTX of blocks; they stand at a turned place of their own.
+fn blocks(z: f64, count: u32) -> String {
+    let (sin, cos) = 0.7_f64.sin_cos();
+    let pose = format!("{cos} {sin} 0 0\n{} {cos} 0 0\n0 0 1 0\n1.1 2.2 3.3 1", -sin);
+    let block = |x: u32| {
+        format!("2\n1\n1.1 2.2 3.3\n{cos} {sin} 0\n{} {cos} 0\n0 0 1\n{pose}\n{x} 0 {z} 0.5\n{x} 1 {z} 0.25\n", -sin)
+    };
+    (1..=count).map(block).collect()
+}
+
+/// The other blocks came beside those that were there, without a word.
+#[test]
+fn a_block_of_a_file_takes_the_place_of_the_block_of_its_name() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    esker_ok(&["ingest", &s, &place.file("m.ptx", &blocks(1.0, 3)), "--quantum", "0.001"]);
+    assert_eq!(names(&s), ["m-1", "m-2", "m-3"]);
+    let better = place.file("new/m.ptx", &blocks(4.0, 3));
+    let said = esker_ok(&["replace", &s, "m-2", &better]);
+    assert!(said.contains("(scan 3): skipped, not the scan that takes the place of 'm-2'"), "{said}");
+    assert_eq!(names(&s), ["m-1", "m-3", "m-2"]);
+    assert_eq!(esker_ok(&["query", &s, "--where", "z > 7", "--count"]), "2\n");
+    // One that was taken out, or has another name now, neither comes back nor is in the way.
+    let poses = place.file("pose.txt", "1 0 0 5\n0 1 0 0\n0 0 1 0\n0 0 0 1\n");
+    let u = place.path("u.esker");
+    esker_ok(&["ingest", &u, &place.path("m.ptx"), "--quantum", "0.001"]);
+    esker_ok(&["remove", &u, "m-1"]);
+    esker_ok(&["rename", &u, "m-3", "third"]);
+    esker_ok(&["replace", &u, "m-2", &place.path("m.ptx"), "--pose", &poses]);
+    assert_eq!(names(&u), ["third", "m-2"]);
+    // Two of one name: each takes the place of its own.
+    let d = place.path("d.esker");
+    let twice = place.path("d.e57");
+    let project = |z: f64| {
+        let mut writer = e57::E57Writer::from_file(&twice, "file").unwrap();
+        for x in 0..3 {
+            let names = [e57::RecordName::CartesianX, e57::RecordName::CartesianY, e57::RecordName::CartesianZ];
+            let record = |name| e57::Record { name, data_type: e57::RecordDataType::F64 };
+            let mut scan = writer.add_pointcloud(&format!("{x}"), names.map(record).to_vec()).unwrap();
+            scan.set_name(Some(if x == 1 { "south" } else { "north" }.to_owned()));
+            scan.add_point([f64::from(x), 1.0, z].map(e57::RecordValue::Double).to_vec()).unwrap();
+            scan.finalize().unwrap();
+        }
+        writer.finalize().unwrap();
+    };
+    project(1.0);
+    esker_ok(&["ingest", &d, &twice, "--quantum", "0.01"]);
+    assert_eq!(names(&d), ["north", "south", "d/north"]);
+    project(2.0);
+    esker_ok(&["replace", &d, "d/north", &twice]);
+    assert_eq!(names(&d), ["north", "south", "d/north"]);
+    let changed = ["query", &d, "--where", "z = 2", "-o", "-", "--format", "csv"];
+    assert_eq!(esker_ok(&changed), "X,Y,Z\n2,1,2\n");
+}
+
+/// Its pose was another one in its last digits, and the file was another scan then.
+#[test]
+fn a_scan_that_is_read_again_as_before_is_the_same_scan() {
+    let place = Place::new();
+    let s = place.path("s.esker");
+    let (sin, cos) = 1.1_f64.sin_cos();
+    let pose = place.file("pose.txt", &format!("{cos} {} 0 5.3\n{sin} {cos} 0 7.7\n0 0 1 0.9\n0 0 0 1\n", -sin));
+    let ingest = ["ingest", &s, &place.file("m.ptx", &blocks(1.0, 2)), "--pose", &pose, "--quantum", "0.0001"];
+    esker_ok(&ingest);
+    let before = esker_ok(&["digest", &s]);
+    for scan in ["m-1", "m-2"] {
+        esker_ok(&["replace", &s, scan]);
+        assert_eq!(esker_ok(&["digest", &s]), before, "{scan}");
+    }
+    assert!(esker_ok(&ingest).contains("already in the store as 'm-1'"));
+}
+
+#[test]
+fn another_version_is_known_by_its_name_and_its_place() {
+    let place = Place::new();
+    let (s, a, b) = (place.path("s.esker"), place.path("v1/tile.las"), place.path("v2/tile.las"));
+    fs::create_dir_all(place.path("v1")).unwrap();
+    fs::create_dir_all(place.path("v2")).unwrap();
+    esker_ok(&["generate", "terrain", "--points", "3000", "--seed", "1", "-o", &a]);
+    esker_ok(&["generate", "terrain", "--points", "3100", "--seed", "1", "-o", &b]);
+    esker_ok(&["ingest", &s, &a]);
+    assert!(told(&["ingest", &s, &b]).contains("the store has another version as 'tile'"));
+    // The one that was replaced is not there, but what came in its place is.
+    let u = place.path("u.esker");
+    esker_ok(&["ingest", &u, &a]);
+    esker_ok(&["replace", &u, "tile", &b]);
+    assert!(told(&["ingest", &u, &a]).contains("the store has another version as 'tile'"));
+    // Of the blocks of a file each is told of its own.
+    let m = place.path("m.esker");
+    esker_ok(&["ingest", &m, &place.file("m.ptx", &blocks(1.0, 2)), "--quantum", "0.001"]);
+    let both = told(&["ingest", &m, &place.file("m.ptx", &blocks(2.0, 2))]);
+    assert!(both.contains("version as 'm-1'") && both.contains("version as 'm-2'"), "{both}");
+    // Elsewhere it is another one, whatever its name.
+    let far = place.file("v3/tile.csv", "x,y,z\n-1,-2,3\n-5,-6,7\n");
+    let v = place.path("v.esker");
+    esker_ok(&["ingest", &v, &a]);
+    assert!(!told(&["ingest", &v, &far, "--ignore-crs"]).contains("version"));
 }

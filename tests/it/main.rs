@@ -10,6 +10,7 @@ mod engine;
 mod exports;
 mod faults;
 mod fidelity;
+mod fields;
 mod floors;
 mod growth;
 mod histories;

@@ -441,3 +441,47 @@ fn statistics_have_a_place_of_their_own() {
         assert_eq!(fs::read_dir(path("full")).unwrap().count(), 0);
     }
 }
+
+/// A plan shows north up, to scale; a region is all that is drawn, and fills the picture.
+#[test]
+fn a_region_and_a_plan_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    // Red in the west, green in the east, blue in the far north, all 0.1 apart.
+    let mut text = "x,y,z,red,green,blue\n".to_owned();
+    for (x0, y0, colour) in [(0.0, 0.0, "255,0,0"), (6.0, 0.0, "0,255,0"), (0.0, 50.0, "0,0,255")] {
+        for i in 0..900 {
+            let (x, y) = (x0 + f64::from(i % 30) / 10.0, y0 + f64::from(i / 30) / 10.0);
+            writeln!(text, "{x},{y},0,{colour}").unwrap();
+        }
+    }
+    fs::write(path("p.csv"), text).unwrap();
+    let (store, picture) = (path("p.esker"), path("p.png"));
+    esker_ok(&["ingest", &store, &path("p.csv")]);
+    let drawn = |options: &[&str]| {
+        let look = ["--unlit", "--background", "000000", "--size", "300x300", "--force", "-o", &picture];
+        esker_ok(&[&["render", &store, "--top"], options, &look].concat());
+        let (width, _, bytes) = pixels(&picture);
+        let channels = bytes.len() / 90_000;
+        // For each colour: how many pixels, and their means across and down.
+        let of = |channel: usize| {
+            let all: Vec<usize> = (0..90_000).filter(|i| bytes[i * channels + channel] > 200).collect();
+            let mean = |value: &dyn Fn(usize) -> usize| {
+                all.iter().map(|&i| value(i) as f64).sum::<f64>() / all.len().max(1) as f64
+            };
+            (all.len(), mean(&|i| i % width as usize), mean(&|i| i / width as usize))
+        };
+        [0, 1, 2].map(of)
+    };
+    let [red, green, blue] = drawn(&[]);
+    assert!(red.0 > 50 && green.0 > 50 && blue.0 > 50, "{red:?} {green:?} {blue:?}");
+    assert!(
+        green.1 > red.1 + 20.0 && (green.2 - red.2).abs() < 2.0 && blue.2 + 200.0 < red.2,
+        "{red:?} {green:?} {blue:?}"
+    );
+    let [red, green, blue] = drawn(&["--box=-1,-1,20,20"]);
+    assert!(blue.0 == 0 && red.0 > 5000 && green.0 > 5000, "{red:?} {green:?} {blue:?}");
+    let [red, green, blue] = drawn(&["--polygon", "POLYGON((-1 -1, 4 -1, 4 4, -1 4, -1 -1))"]);
+    assert!(blue.0 + green.0 == 0 && red.0 > 60_000, "{red:?} {green:?} {blue:?}");
+    esker_fails(&["render", &store, "--top", "--bookmark", "x", "-o", &picture], 2, &["cannot be used with"]);
+}

@@ -7,6 +7,7 @@ import os
 
 import numpy as np
 
+from ._points import Points
 from .errors import QueryError
 
 DEFAULTS = {
@@ -377,12 +378,17 @@ def changes(
 
 def table(points):
     """The columns of points in memory, contiguous and in types that a store has: x, y and z first."""
-    points = getattr(points, "points", points) if not hasattr(points, "keys") else points
+    if isinstance(points, Points):
+        if points.names[:3] == ("X", "Y", "Z"):
+            raise TypeError('points are in lattice steps; ask for them with positions="world"')
+        points = points.points
     names = getattr(getattr(points, "dtype", None), "names", None)
     if names is None and hasattr(points, "keys"):
         names = list(points.keys())
     if names is not None:
         columns = {str(name): points[name] for name in names}
+        if len(columns) < len(names):
+            raise TypeError(f"two columns are called the same: {', '.join(map(str, names))}")
     else:
         rows = np.asarray(points)
         if rows.ndim != 2 or rows.shape[1] != 3:

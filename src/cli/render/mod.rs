@@ -8,6 +8,7 @@ mod walk;
 
 use super::cameras::OneCamera;
 use super::interrupt::cancelled_by_interrupt;
+use super::region::Where;
 use super::which::filter;
 use super::{Outcome, Usage, output, values};
 use crate::formats::{OutputFile, check_output};
@@ -35,6 +36,7 @@ use std::time::Instant;
     allow_negative_numbers = true,
     after_help = "Examples:\n  esker render site.esker -o site.png\n  \
                   esker render site.esker --view door.json --size 1920x1080 --color height -o door.png\n  \
+                  esker render site.esker --top --polygon plot.geojson --color class --legend -o plot.png\n  \
                   esker render site.esker --color class --where 'Classification <> 7' --shape paraboloid -o classes.png\n  \
                   esker render site.esker --clip 500,200,-inf,520,240,inf --background ffffff -o strip.png\n  \
                   esker render site.esker --path walk.json --stats walk.csv -o walk.png     (walk-0000.png, ...)\n\n\
@@ -50,6 +52,9 @@ pub(super) struct Arguments {
     /// The cameras of a walk in JSON: numbered pictures, with what is loaded kept from one to the next.
     #[arg(long, value_name = "CAMERAS.json", conflicts_with = "camera")]
     path: Option<PathBuf>,
+    /// The camera: straight from above, north up, in parallel: a plan of all that is drawn.
+    #[arg(long, conflicts_with_all = ["camera", "path"])]
+    top: bool,
     /// Width and height in pixels (default: the view's, or 1280x720).
     #[arg(long, value_name = "WxH", value_parser = values::pixels)]
     size: Option<[u32; 2]>,
@@ -63,7 +68,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "MODE", default_value = "rgb")]
     color: ColorMode,
     /// The values at the two ends of the colours of intensity, height or time (default: the 1st and the 99th percentile
-    /// of the site).
+    /// of what may be drawn, by --where, --scan, --box, --clip and the like, from wherever it is seen).
     #[arg(long, value_name = "LOW,HIGH", value_parser = options::range, allow_hyphen_values = true)]
     range: Option<[f64; 2]>,
     /// Only points for which this is true.
@@ -72,6 +77,8 @@ pub(super) struct Arguments {
     /// Only this scan, by name or id; may be given several times.
     #[arg(long = "scan", value_name = "NAME", value_parser = values::name, allow_hyphen_values = true)]
     scans: Vec<String>,
+    #[command(flatten)]
+    place: Where,
     #[command(flatten)]
     look: options::Look,
     /// A table of what each frame cost, as CSV; - for stdout.
@@ -104,7 +111,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
         }
     };
     let snapshot = store.snapshot()?;
-    let cameras = cameras(arguments, &snapshot)?;
+    let region = arguments.place.region(&snapshot.site().lattice)?;
+    let cameras = cameras(arguments, &snapshot, &region)?;
     let outputs = outputs(cameras.len());
     // Before the work, not after it.
     let pictures = outputs.iter().map(|path| check_output(path, arguments.force)).collect::<Result<Vec<_>, _>>()?;
@@ -116,7 +124,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
              a picture in proportion"
         );
     }
-    let query = query(arguments, &snapshot)?.cancel(&cancel);
+    let query = query(arguments, &snapshot, &region)?.cancel(&cancel);
     let coloring = coloring(arguments, &snapshot, &query)?;
     let mut session = session(arguments, &snapshot, query, coloring, starting)?;
     let mut drawn = 0;
@@ -142,7 +150,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     table.finish()?;
     if drawn == 0 {
         output::tell!("esker: nothing was drawn: no point matches, or none is in view");
-        super::which::tell_why_nothing(&snapshot, &Region::Everything, &arguments.scans)?;
+        super::which::tell_why_nothing(&snapshot, &region, &arguments.scans)?;
     }
     Ok(Outcome::Done)
 }
@@ -154,7 +162,7 @@ fn numbered(path: &Path, frame: usize) -> PathBuf {
     path.with_file_name(format!("{stem}-{frame:04}.{ending}"))
 }
 
-fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Camera>> {
+fn cameras(arguments: &Arguments, snapshot: &Snapshot, region: &Region) -> anyhow::Result<Vec<Camera>> {
     let asked = |s: &Scan| arguments.scans.iter().any(|name| *name == s.name || name.parse() == Ok(s.id));
     let is_seen = |s: &Scan| if arguments.scans.is_empty() { s.visible } else { asked(s) };
     let site = snapshot.scans().iter().filter(|s| is_seen(s)).filter_map(|s| s.bounds).reduce(|a, b| a.union(&b));
@@ -166,7 +174,12 @@ fn cameras(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Vec<Cam
         (None, Some(camera)) => vec![camera],
         (None, None) => {
             let is_seen = |id| snapshot.scans().iter().any(|s| s.id == id && is_seen(s));
-            vec![Camera::seeing(&places(arguments, snapshot, is_seen)?, arguments.size.unwrap_or([1280, 720]))?]
+            let size = arguments.size.unwrap_or([1280, 720]);
+            let places = match region {
+                Region::Everything => places(arguments, snapshot, is_seen)?,
+                _ => some_places(arguments, snapshot, region)?,
+            };
+            vec![if arguments.top { Camera::above(&places, size)? } else { Camera::seeing(&places, size)? }]
         }
     };
     let sized = cameras.into_iter().map(|camera| match arguments.size {
@@ -189,8 +202,20 @@ fn places(arguments: &Arguments, snapshot: &Snapshot, is_seen: impl Fn(ScanId) -
     Ok(boxes.into_iter().filter_map(kept).flat_map(|b| b.corners()).collect())
 }
 
+/// Of some of the points in a region, which may be small beside the site's boxes.
+fn some_places(arguments: &Arguments, snapshot: &Snapshot, region: &Region) -> anyhow::Result<Vec<DVec3>> {
+    /// Enough to be near all ends of what they are of.
+    const ENOUGH: u64 = 20_000;
+    let (mut places, lattice) = (Vec::new(), &snapshot.site().lattice);
+    query(arguments, snapshot, region)?.positions_only().capacity(ENOUGH).run(snapshot, |batch| {
+        places.extend(batch.positions.iter().map(|p| DVec3::from_array(lattice.world_from_lattice(p))));
+        std::ops::ControlFlow::Continue(())
+    })?;
+    Ok(places)
+}
+
 /// Which points count.
-fn query(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Query> {
+fn query(arguments: &Arguments, snapshot: &Snapshot, region: &Region) -> anyhow::Result<Query> {
     let mut query = Query::new();
     if let Some(text) = &arguments.filter {
         query = query.filter(filter(text, snapshot)?);
@@ -199,10 +224,8 @@ fn query(arguments: &Arguments, snapshot: &Snapshot) -> anyhow::Result<Query> {
         query = query.scans(arguments.scans.iter().cloned());
     }
     // What one box keeps is also all that is read; several are left to the passes.
-    if let Some([min, max]) = arguments.look.kept_box() {
-        query = query.region(Region::new_box(min, max)?);
-    }
-    Ok(query)
+    let kept = arguments.look.kept_box().map(|[min, max]| Region::new_box(min, max)).transpose()?;
+    Ok(query.region(Region::all([region.clone()].into_iter().chain(kept))))
 }
 
 /// How points are coloured, by the points of the coarsest level.
@@ -264,6 +287,7 @@ fn session(
     let all_match = arguments.filter.is_none()
         && arguments.scans.is_empty()
         && arguments.look.kept_box().is_none()
+        && arguments.place.is_everything()
         && snapshot.scans().iter().all(|s| s.visible);
     let has = |name: &String| snapshot.attributes().iter().any(|a| a.attribute.name == *name);
     let names = coloring.paint.attributes().into_iter().filter(has).collect();

@@ -84,8 +84,9 @@ fn crs_of(text: &str) -> Option<Crs> {
 impl E57Source {
     fn new(opened: &Arc<Opened>, index: u32, cloud: PointCloud, xml: u64) -> Result<Self, FormatError> {
         let file = &opened.file;
-        let malformed =
-            |expected: &str, found: String| file.malformed(xml, format!("{expected} of scan {index}"), found);
+        let malformed = |expected: &str, found: String| {
+            file.malformed(xml, format!("{expected} of scan {}", index.saturating_add(1)), found)
+        };
         let columns = Columns::new(&cloud.prototype).ok_or_else(|| {
             let names: Vec<_> = cloud.prototype.iter().map(|r| format!("{:?}", r.name)).collect();
             malformed("cartesian or spherical coordinates", names.join(", "))
@@ -151,7 +152,7 @@ impl PointSource for E57Source {
         }
         let file = &*self.opened.file;
         let Reader { mut e57, place } = self.opened.reader()?;
-        let of = format!("the points of scan {}", self.info.index);
+        let of = format!("the points of scan {}", self.info.index.saturating_add(1));
         let failed = |error: &e57::Error| damage(file, &place, &of, error);
         let broken = |message| FormatError::Decoder {
             path: file.path().to_owned(),

@@ -296,7 +296,7 @@ fn a_wrong_checksum_is_named_with_its_place() {
     let all = sources(&path).unwrap();
     let error = records(&*all[0]).unwrap_err().to_string();
     assert!(
-        error.contains("at byte 9216: expected a page of the points of scan 0 with the right checksum (CRC)"),
+        error.contains("at byte 9216: expected a page of the points of scan 1 with the right checksum (CRC)"),
         "{error}"
     );
 }
@@ -321,7 +321,7 @@ fn points_without_bits_and_lying_counts_come_to_an_end() {
     };
     replaced("maximum=\"4\"", "maximum=\"3\"");
     let error = sources(&path).err().unwrap().to_string();
-    assert!(error.contains("expected a column that is not constant of scan 0"), "{error}");
+    assert!(error.contains("expected a column that is not constant of scan 1"), "{error}");
     // More points than there are: an error, not an endless search.
     replaced("recordCount=\"5\"", "recordCount=\"9\"");
     assert!(records(&*sources(&path).unwrap()[0]).is_err());

@@ -43,23 +43,23 @@ pub fn roles(names: &[String]) -> Vec<Role> {
         }
     }
     // So are east and north, where nothing else is.
-    let letter = |letter: &str| names.iter().position(|n| n.eq_ignore_ascii_case(letter));
+    let one_of = |words: &[&str]| names.iter().position(|n| words.contains(&&*bare(n)));
     let has = |roles: &[Role], axis| roles.contains(&Role::Axis(axis));
-    if let (Some(e), Some(n), false, false) = (letter("e"), letter("n"), has(&roles, 0), has(&roles, 1)) {
-        if let (Some(h), false) = (letter("h"), has(&roles, 2)) {
-            roles[h] = Role::Axis(2);
-        }
-        if has(&roles, 2) {
-            (roles[e], roles[n]) = (Role::Axis(0), Role::Axis(1));
-        }
+    let height = one_of(&["h", "alt", "hgt"]);
+    if let (Some(e), Some(n), false, false) =
+        (one_of(&["e", "ost"]), one_of(&["n", "nord"]), has(&roles, 0), has(&roles, 1))
+        && (has(&roles, 2) || height.is_some())
+    {
+        (roles[e], roles[n]) = (Role::Axis(0), Role::Axis(1));
     }
     // And so are degrees: beside eastings they are attributes.
-    let bare = |name: &str| name.split(['(', '[']).next().unwrap_or(name).trim().to_ascii_lowercase();
-    let one_of = |words: [&str; 2]| names.iter().position(|n| words.contains(&&*bare(n)));
-    if let (Some(lon), Some(lat), false, false) =
-        (one_of(["longitude", "lon"]), one_of(["latitude", "lat"]), has(&roles, 0), has(&roles, 1))
+    if let (Some(lon), Some(lat), false, false) = (one_of(LONGITUDE), one_of(LATITUDE), has(&roles, 0), has(&roles, 1))
     {
         (roles[lon], roles[lat]) = (Role::Axis(0), Role::Axis(1));
+    }
+    // What may be a height is one, where nothing else is.
+    if let (Some(h), true, true, false) = (height, has(&roles, 0), has(&roles, 1), has(&roles, 2)) {
+        roles[h] = Role::Axis(2);
     }
     // `x`, `y` and `z` themselves go before words for them: beside `z`, `height` is something else.
     for (axis, letter) in ["x", "y", "z"].into_iter().enumerate() {
@@ -71,6 +71,23 @@ pub fn roles(names: &[String]) -> Vec<Role> {
         }
     }
     roles
+}
+
+const LONGITUDE: &[&str] = &["longitude", "lon", "lng", "long"];
+const LATITUDE: &[&str] = &["latitude", "lat"];
+
+/// A name without its unit, in small letters.
+fn bare(name: &str) -> String {
+    name.split(['(', '[']).next().unwrap_or(name).trim().to_ascii_lowercase()
+}
+
+/// Are x and y degrees, by their names?
+pub fn are_degrees(names: &[String]) -> bool {
+    let of_axis = |axis, words: &[&str]| {
+        let place = roles(names).iter().position(|role| *role == Role::Axis(axis));
+        place.is_some_and(|i| words.contains(&&*bare(&names[i])))
+    };
+    of_axis(0, LONGITUDE) && of_axis(1, LATITUDE)
 }
 
 /// What column `i` of this name is.

@@ -1,6 +1,6 @@
 //! Text files opened: where the rows are, what the columns are called.
 
-use super::columns::{Kinds, Role, axes, guess, named, roles, twice};
+use super::columns::{Kinds, Role, are_degrees, axes, guess, named, roles, twice};
 use super::lines::Lines;
 use super::number::parse;
 use super::sections::{Section, pts, ptx};
@@ -100,6 +100,7 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
     let rows = Rows { file, format: "text", place, survey, announced };
     let mut source = TextSource::new(rows, &roles, &kinds, false);
     source.info.options = options;
+    source.info.degrees = columns.or(header.as_deref()).is_some_and(are_degrees);
     source.info.warnings.extend([guessed, lacking, commas].into_iter().flatten());
     Ok(vec![Box::new(source)])
 }

@@ -68,7 +68,7 @@ fn head(descr: &str, points: u64) -> Vec<u8> {
 }
 
 fn structured(fields: &[Field]) -> String {
-    let quoted = |name: &str| name.replace('\\', "\\\\").replace('\'', "\\'").replace(char::is_control, "_");
+    let quoted = |name: &str| name.replace('\\', "\\\\").replace('\'', "\\'");
     let one = |f: &Field| format!("('{}', '{}')", quoted(&f.name), word(f.ty));
     format!("[{}]", fields.iter().map(one).collect::<Vec<_>>().join(", "))
 }
@@ -112,7 +112,7 @@ impl NpyWriter {
     /// Begins a file: the head is written, its count still open.
     pub fn create(destination: Destination, mut file: File, plan: &OutputPlan) -> Result<Self, FormatError> {
         let mut notes = Vec::new();
-        let fields = fields(&plan.attributes, |a| a.name.clone(), &mut notes);
+        let fields = fields(&plan.attributes, |a| a.name.replace(char::is_control, "_"), &mut notes);
         note_scaled(&plan.attributes, &mut notes);
         let stride = fields.iter().map(|f| f.ty.size()).sum();
         file.write_all(&head(&structured(&fields), 0)).map_err(|e| destination.error("writing", e))?;

@@ -19,13 +19,35 @@ pub(super) enum Put {
     Degrees,
     /// A `u8` colour, added to a `u16` times 257.
     Color,
-    /// Any number, less `low` and times `factor`, as the nearest `u16`; NaN as 0.
+    /// Any number, less `low` and times `factor`, as the nearest number of the type; NaN as 0.
     Scaled {
         /// What becomes 0.
         low: f64,
         /// Steps of 1.
         factor: f64,
+        /// What the field holds.
+        to: Target,
     },
+}
+
+/// A field that takes numbers of any type.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Target {
+    /// Bits of a byte that others share.
+    Bits {
+        /// Left shift.
+        shift: u8,
+        /// The greatest that fits.
+        mask: u8,
+    },
+    /// A byte.
+    U8,
+    /// Two bytes.
+    U16,
+    /// Two bytes, with a sign.
+    I16,
+    /// A double, which is not rounded.
+    F64,
 }
 
 /// A column's place in a record.
@@ -95,11 +117,10 @@ pub(super) fn put(
                 add(&mut row[at..at + 2], u16::from(value) * 257);
             }
         }
-        (Put::Scaled { low, factor }, column) => {
+        (Put::Scaled { low, factor, to }, column) => {
             for (row, i) in rows.chunks_exact_mut(stride).zip(range) {
-                // Beyond its ends, and of NaN, the conversion gives the nearest number and 0.
-                let value = ((column.as_f64(i) - low) * factor).round() as u16;
-                row[at..at + 2].copy_from_slice(&value.to_le_bytes());
+                let value = (column.as_f64(i) - low) * factor;
+                add_number(&mut row[at..], value, to);
             }
         }
         (Put::Whole, Column::U8(v)) => whole!(v),
@@ -115,6 +136,22 @@ pub(super) fn put(
         (put, column) => panic!("{put:?} of a column of {}", column.ty().word()),
     }
     Ok(())
+}
+
+/// Adds to a field. Beyond the field's ends, and of NaN, the conversions give the nearest number and 0.
+fn add_number(bytes: &mut [u8], value: f64, to: Target) {
+    match to {
+        Target::Bits { shift, mask } => bytes[0] |= (value.round() as u8).min(mask) << shift,
+        Target::U8 => bytes[0] = bytes[0].wrapping_add(value.round() as u8),
+        Target::U16 => add(&mut bytes[..2], value.round() as u16),
+        Target::I16 => add(&mut bytes[..2], (value.round() as i16).cast_unsigned()),
+        Target::F64 => {
+            let mut there = [0; 8];
+            there.copy_from_slice(&bytes[..8]);
+            let sum = f64::from_le_bytes(there) + if value.is_nan() { 0.0 } else { value };
+            bytes[..8].copy_from_slice(&sum.to_le_bytes());
+        }
+    }
 }
 
 /// One of two columns has a value at each point, the other zero, where scans of two kinds are merged.
@@ -177,12 +214,20 @@ mod tests {
 
     #[test]
     fn scaled_numbers_are_the_nearest_in_16_bits() {
-        let mut rows = [7; 12];
-        let slot = Slot { column: 0, offset: 0, put: Put::Scaled { low: -1.0, factor: 100.0 } };
+        let mut rows = [0; 12];
+        let put_in = |to| Slot { column: 0, offset: 0, put: Put::Scaled { low: -1.0, factor: 100.0, to } };
+        let slot = put_in(Target::U16);
         let values = Column::F32(vec![-1.0, -5.0, 0.004, f32::NAN, 1e9, f32::INFINITY]);
         put(slot, &values, 0..6, &mut rows, 2).unwrap();
         let found: Vec<_> = rows.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect();
         assert_eq!(found, [0, 0, 100, 0, u16::MAX, u16::MAX]);
+        let bits = Put::Scaled { low: 0.0, factor: 1.0, to: Target::Bits { shift: 4, mask: 15 } };
+        let mut rows = [1; 6];
+        put(Slot { column: 0, offset: 0, put: bits }, &values, 0..6, &mut rows, 1).unwrap();
+        assert_eq!(rows, [1, 1, 1, 1, 0xF1, 0xF1]);
+        let mut rows = [0; 12];
+        put(put_in(Target::I16), &Column::F32(vec![-3.0, -1e9]), 0..2, &mut rows[..4], 2).unwrap();
+        assert_eq!(rows[..4], [0x38, 0xFF, 0x00, 0x80]);
     }
 
     #[test]

@@ -152,7 +152,7 @@ fn an_added_scan_reads_and_writes_the_nodes_that_receive_points() {
             let sources = sources::open(
                 &sources::Inputs::Files(std::slice::from_ref(&case.patch)),
                 &options(),
-                held.scans(),
+                sources::Stored { scans: held.scans(), lattice: None },
                 &(),
             )?
             .sources;

@@ -143,8 +143,9 @@ fn axis(name: &Name, names: &Names) -> Option<usize> {
     (!is_attribute).then_some(axis)
 }
 
-/// The names of coordinates that some attribute has, too, as they are written.
-pub(super) fn ambiguous<'e>(expression: &'e Expression, names: &Names) -> Vec<&'e str> {
+/// What names mean that might mean something else, in words: a coordinate or the attribute that is called so, an attribute or the
+/// dimension of LAS that is called so, too.
+pub(super) fn ambiguous(expression: &Expression, names: &Names) -> Vec<String> {
     let mut found = Vec::new();
     let mut open = vec![expression];
     while let Some(expression) = open.pop() {
@@ -163,12 +164,30 @@ pub(super) fn ambiguous<'e>(expression: &'e Expression, names: &Names) -> Vec<&'
             | Expression::IsNull(name) => &[name],
             Expression::Pair(a, _, b) => &[a, b],
         };
-        let is_both = |n: &&&Name| axis(n, names).is_some() && !attributes_named(&n.name, names.attributes).is_empty();
-        found.extend(written.iter().filter(is_both).map(|n| n.name.as_str()));
+        found.extend(written.iter().filter_map(|name| other_meaning(name, names)));
     }
     found.sort_unstable();
     found.dedup();
     found
+}
+
+fn other_meaning(name: &Name, names: &Names) -> Option<String> {
+    let name_is = &name.name;
+    let attributes = attributes_named(name_is, names.attributes);
+    let first = attributes.first()?;
+    if axis(name, names).is_some() {
+        return Some(format!(
+            "{name_is} is taken as the coordinate; the attribute of that name is written \"{name_is}\", in double quotes"
+        ));
+    }
+    let dimension = canonical_name(name_is).filter(|dimension| *dimension != first.attribute.name)?;
+    let is_there = names.attributes.iter().any(|a| a.attribute.name == dimension);
+    is_there.then(|| {
+        format!(
+            "{name_is} is taken as the attribute {}, which some scans have, not as {dimension}",
+            first.attribute.name
+        )
+    })
 }
 
 fn values(text: &str, name: &Name, set: &DecimalSet, names: &Names) -> Result<Bound, FilterError> {

@@ -91,9 +91,9 @@ impl Filter {
         Ok(Self { text: text.into(), expression: parser::parse(text)? })
     }
 
-    /// Names in it, `x` say, that mean a coordinate though the store has an attribute that is called so, too; that one is
-    /// written in double quotes, `"x"`.
-    pub fn ambiguous_names(&self, snapshot: &Snapshot) -> Vec<&str> {
+    /// What its names mean where they might mean something else, in words: `x` is the coordinate, though the store has an attribute
+    /// that is called so, too; `Class` is the attribute of that name, where some scans have it, not `Classification`.
+    pub fn ambiguities(&self, snapshot: &Snapshot) -> Vec<String> {
         let (attributes, scans, lattice) = (snapshot.attributes(), snapshot.scans(), &snapshot.site().lattice);
         bind::ambiguous(&self.expression, &Names { attributes, scans, lattice, met: &Kinds::default() })
     }

@@ -11,11 +11,13 @@ use super::destination::Destination;
 use super::rows::{self, Slot};
 use super::{Form, LasTarget, OutputPlan, Packed, Packer, PointWriter};
 use crate::formats::FormatError;
-use crate::points::{Attribute, Batch, Column};
+use crate::formats::las::tables::PointFormat;
+use crate::points::{Attribute, Batch, Column, ScalarType};
 use encoder::Encoder;
 pub use header::CreationDate;
 use header::{Header, Totals};
 use integers::{BLOCK, Integers};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -28,7 +30,7 @@ const BUFFER_BYTES: usize = 1 << 20;
 
 /// How a LAS file is made, beyond the plan.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LasOptions {
+pub(super) struct LasOptions<'a> {
     /// LAZ?
     pub compressed: bool,
     pub date: CreationDate,
@@ -36,8 +38,17 @@ pub(super) struct LasOptions {
     pub standard_time: bool,
     /// The points that will come, if known.
     pub points: Option<u64>,
-    /// The ends of intensities that are no `u16`.
-    pub intensity: Option<[f64; 2]>,
+    /// The least and the greatest value of columns of LAS's names that are of another type than LAS has.
+    pub ends: &'a Ends,
+}
+
+/// By name.
+type Ends = BTreeMap<String, [f64; 2]>;
+
+/// The type of the field of this name in the records of LAS 1.4's newer point formats.
+pub fn las_field(name: &str) -> Option<ScalarType> {
+    let format = PointFormat::new(8)?;
+    format.dimensions().into_iter().find(|d| d.name == name).map(|d| d.ty)
 }
 
 /// Records of a LAS file, and what its header says of them.
@@ -83,13 +94,13 @@ impl LasWriter {
         destination: Destination,
         mut file: File,
         output: &OutputPlan,
-        options: LasOptions,
+        options: LasOptions<'_>,
     ) -> Result<Self, FormatError> {
-        let LasOptions { compressed, date, standard_time, points, intensity } = options;
+        let LasOptions { compressed, date, standard_time, points, ends } = options;
         let plan = match &output.las {
             LasTarget::AsSource(facts) => plan::as_source(output, facts, compressed, date),
             LasTarget::Merged { scale, offset } => {
-                plan::merged(output, *scale, *offset, compressed, date, standard_time, intensity)
+                plan::merged(output, *scale, *offset, compressed, date, standard_time, ends)
             }
         };
         let plan::Plan { mut header, slots, notes } = plan.map_err(|reason| destination.unwritable(reason))?;

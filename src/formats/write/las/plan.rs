@@ -1,5 +1,6 @@
 //! What a LAS file will look like: its header, and where every attribute goes.
 
+use super::Ends;
 use super::crs;
 use super::extra::{self, ExtraField};
 use super::header::{
@@ -10,7 +11,7 @@ use crate::formats::las::layout::record_layout;
 use crate::formats::las::says_crs;
 use crate::formats::las::tables::{Dimension, PointFormat, XYZ_BYTES};
 use crate::formats::write::OutputPlan;
-use crate::formats::write::rows::{Put, Slot};
+use crate::formats::write::rows::{Put, Slot, Target};
 use crate::points::{Attribute, Crs, FieldKind, LasFacts, RawVlr, ScalarType};
 
 /// A plan, or why there is none.
@@ -123,7 +124,7 @@ pub(super) fn merged(
     compressed: bool,
     date: CreationDate,
     standard_time: bool,
-    intensity: Option<[f64; 2]>,
+    ends: &Ends,
 ) -> Planned {
     let mut notes = Vec::new();
     let has =
@@ -154,25 +155,25 @@ pub(super) fn merged(
             if field.renamed {
                 notes.push(format!("{} ({}) is extra byte {:?}", attribute.name, attribute.ty.word(), field.name));
             }
-            let scaled = scaled_intensity(plan, attribute, intensity);
-            if let (Some((put, how)), Some(dimension)) = (scaled, dimensions.iter().find(|d| d.name == INTENSITY)) {
-                notes.push(format!(
-                    "Intensity is {} here: LAS's own field has it {how}, and an extra byte as it is",
-                    attribute.ty.word()
-                ));
-                slots.push(Slot { column, offset: XYZ_BYTES + dimension.offset, put });
-            } else if dimensions.iter().any(|d| d.name == attribute.name) {
-                notes.push(format!(
-                    "{} is {} here, which LAS's own field can't hold: that is 0, and the values are in an extra byte",
-                    attribute.name,
-                    attribute.ty.word()
-                ));
+            if let Some(dimension) = dimensions.iter().find(|d| d.name == attribute.name) {
+                let (name, ty) = (&attribute.name, attribute.ty.word());
+                let one = plan.attributes.iter().filter(|a| a.name == *name).count() == 1;
+                let ends = ends.get(name).copied();
+                match ends.and_then(|ends| converted(dimension, attribute, ends, one)) {
+                    Some((put, how)) => {
+                        notes.push(format!("{name} is {ty} here: LAS's own field has it {how}, and an extra byte as it is"));
+                        slots.push(Slot { column, offset: XYZ_BYTES + dimension.offset, put });
+                    }
+                    None => notes.push(format!(
+                        "{name} is {ty} here, which LAS's own field can't hold: that is 0, and the values are in an extra byte"
+                    )),
+                }
             }
             extras.push((column, field));
         }
     }
     // What is whole before what is added to it.
-    slots.sort_by_key(|s| matches!(s.put, Put::Degrees | Put::Color));
+    slots.sort_by_key(|s| !matches!(s.put, Put::Whole | Put::Bits { .. }));
 
     let mut end = format.record_bytes();
     let mut descriptors = Vec::new();
@@ -215,25 +216,44 @@ pub(super) fn merged(
     Ok(Plan { header: with_vlrs(header, &vlrs)?, slots, notes })
 }
 
-const INTENSITY: &str = "Intensity";
-
-/// How an intensity of another type comes into LAS's own field, by which viewers colour, and that in words. What two columns
-/// have stays in extra bytes.
-fn scaled_intensity(plan: &OutputPlan, attribute: &Attribute, ends: Option<[f64; 2]>) -> Option<(Put, String)> {
+/// How numbers of another type come into LAS's own field, by which programs colour and choose points, and that in words; none
+/// if not all of them fit. `one`: no other column goes there, so that a point without a value has none of it.
+fn converted(dimension: &Dimension, attribute: &Attribute, [low, high]: [f64; 2], one: bool) -> Option<(Put, String)> {
     const MOST: f64 = 65_535.0;
-    let is_one = plan.attributes.iter().filter(|a| a.name == INTENSITY).count() == 1;
-    let [low, high] = ends.filter(|_| attribute.name == INTENSITY && is_one)?;
-    let scale = attribute.scaling.map_or(1.0, |s| s.scale);
-    let offset = attribute.scaling.map_or(0.0, |s| s.offset);
-    let (low, factor, how) = match () {
-        () if !(low.is_finite() && high.is_finite()) => return None,
-        () if low >= 0.0 && high > 1.0 && high <= MOST => (0.0, 1.0, "as the nearest whole number".to_owned()),
-        () if low >= 0.0 && high <= 1.0 => (0.0, MOST, "times 65,535".to_owned()),
-        () => (low, MOST / (high - low), format!("from {low} to {high} as 0 to 65,535")),
+    let is_float = matches!(attribute.ty, ScalarType::F32 | ScalarType::F64);
+    let whole = || if is_float { "as the nearest whole number" } else { "as it is" }.to_owned();
+    let (to, most) = match (dimension.kind, dimension.ty) {
+        (FieldKind::Bits { shift, mask }, _) => (Target::Bits { shift, mask }, f64::from(mask)),
+        (FieldKind::Whole, ScalarType::U8) => (Target::U8, 255.0),
+        (FieldKind::Whole, ScalarType::U16) => (Target::U16, MOST),
+        (FieldKind::Whole, ScalarType::I16) => (Target::I16, 180.0),
+        (FieldKind::Whole, ScalarType::F64) => (Target::F64, f64::MAX),
+        _ => return None,
     };
+    if !(low.is_finite() && high.is_finite()) {
+        return None;
+    }
+    let (low, factor, how) = match dimension.name {
+        "Red" | "Green" | "Blue" | "Infrared" => return None,
+        // Whole numbers may be degrees or steps of LAS.
+        "ScanAngleRank" if is_float && low >= -most && high <= most => {
+            (0.0, 1.0 / 0.006, "in steps of 0.006 degrees".to_owned())
+        }
+        "ScanAngleRank" => return None,
+        "GpsTime" => (0.0, 1.0, "as a double".to_owned()),
+        "Intensity" if low >= 0.0 && high <= 1.0 && is_float => (0.0, MOST, "times 65,535".to_owned()),
+        _ if low >= 0.0 && high <= most => (0.0, 1.0, whole()),
+        "Intensity" if one => (low, MOST / (high - low), format!("from {low} to {high} as 0 to 65,535")),
+        _ => return None,
+    };
+    // Where another scan has the column, this one's value for none is added to it.
+    if !one && attribute.no_data.is_some() {
+        return None;
+    }
     // Of stored values.
-    let put = Put::Scaled { low: (low - offset) / scale, factor: factor * scale };
-    (factor.is_finite() && scale != 0.0).then_some((put, how))
+    let (scale, offset) = attribute.scaling.map_or((1.0, 0.0), |s| (s.scale, s.offset));
+    let put = Put::Scaled { low: (low - offset) / scale, factor: factor * scale, to };
+    (factor.is_finite() && scale != 0.0 && (one || offset == 0.0)).then_some((put, how))
 }
 
 /// The field of the point format for an attribute of exactly this name and type, or of one that becomes it.

@@ -1,0 +1,123 @@
+//! LAS's fields under the names and in the types that other programs give them.
+
+use crate::support::{RawLas, esker, esker_ok};
+use std::fs;
+use std::path::Path;
+
+fn json(arguments: &[&str]) -> serde_json::Value {
+    serde_json::from_str(&esker_ok(&[arguments, &["--json"]].concat())).unwrap()
+}
+
+fn names(store: &str) -> Vec<String> {
+    let info = json(&["info", store]);
+    info["attributes"].as_array().unwrap().iter().map(|a| a["name"].as_str().unwrap().to_owned()).collect()
+}
+
+/// They were extra bytes, and LAS's own fields 0.
+#[test]
+fn columns_are_known_by_the_names_that_programs_give_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    fs::write(at("a.csv"), "X,Y,Z,Class,Return Number,Number Of Returns,Gps Time\n1,2,3,2,1,2,5.5\n4,5,6,6,2,2,6.5\n")
+        .unwrap();
+    fs::write(at("b.csv"), "X,Y,Z,class,NumReturns,return_num\n1,2,3,2,1,1\n").unwrap();
+    let (store, las) = (at("a.esker"), at("a.las"));
+    esker_ok(&["ingest", &store, &at("a.csv")]);
+    let found = names(&store);
+    for name in ["Classification", "ReturnNumber", "NumberOfReturns", "GpsTime"] {
+        assert!(found.iter().any(|n| n == name), "{name} in {found:?}");
+    }
+    esker_ok(&["query", &store, "-o", &las]);
+    let records = RawLas::read(Path::new(&las)).unwrap().records;
+    let mut fields: Vec<_> = records.iter().map(|r| (r[16], r[14] & 15, r[14] >> 4)).collect();
+    fields.sort_unstable();
+    assert_eq!(fields, [(2, 1, 2), (6, 2, 2)]);
+    let other = at("b.esker");
+    esker_ok(&["ingest", &other, &at("b.csv")]);
+    let found = names(&other);
+    assert!(
+        ["Classification", "ReturnNumber", "NumberOfReturns"].iter().all(|n| found.iter().any(|f| f == n)),
+        "{found:?}"
+    );
+    // A class that is no byte may be anything; which is meant where there are both is told.
+    fs::write(at("c.csv"), "X,Y,Z,Class\n7,8,9,0.5\n").unwrap();
+    esker_ok(&["ingest", &store, &at("c.csv")]);
+    let output = esker(&["query", &store, "--where", "Class = 2", "--count"]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        told.contains("Class is taken as the attribute Class, which some scans have, not as Classification"),
+        "{told}"
+    );
+}
+
+/// CloudCompare writes all scalars as floats, and a cell without a value makes floats of a column.
+#[test]
+fn whole_numbers_in_other_types_are_in_the_fields_of_las_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n\
+                  property float scalar_Classification\nproperty float scalar_Return_Number\n\
+                  property float scalar_Number_Of_Returns\nproperty double scalar_Gps_Time\n\
+                  property float scalar_Point_Source_ID\nproperty float scalar_User_Data\n\
+                  property float scalar_Scan_Angle_Rank\nproperty float scalar_Intensity\nend_header\n";
+    fs::write(at("a.ply"), format!("{header}1 2 3 2 1 3 5.5 700 9 -12.5 40000\n4 5 6 6 3 3 6.5 701 8 30 4\n")).unwrap();
+    let (store, las) = (at("a.esker"), at("a.las"));
+    esker_ok(&["ingest", &store, &at("a.ply")]);
+    let output = esker(&["query", &store, "-o", &las]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("Classification is f32 here: LAS's own field has it as the nearest whole number"), "{told}");
+    let records = RawLas::read(Path::new(&las)).unwrap().records;
+    let word = |r: &[u8], i: usize| u16::from_le_bytes([r[i], r[i + 1]]);
+    let time = |r: &[u8]| f64::from_le_bytes(r[22..30].try_into().unwrap());
+    let mut fields: Vec<_> = records
+        .iter()
+        .map(|r| {
+            (r[16], r[14] & 15, r[14] >> 4, r[17], word(r, 18) as i16, word(r, 20), word(r, 12), time(r).to_string())
+        })
+        .collect();
+    fields.sort();
+    assert_eq!(
+        fields,
+        [(2, 1, 3, 9, -2083, 700, 40_000, "5.5".to_owned()), (6, 3, 3, 8, 5000, 701, 4, "6.5".to_owned())]
+    );
+    // Beside a scan that has them as LAS does, each has its own.
+    fs::write(at("b.csv"), "x,y,z,Classification,Intensity\n7,8,9,5,77\n").unwrap();
+    esker_ok(&["ingest", &store, &at("b.csv")]);
+    esker_ok(&["query", &store, "-o", &las, "--force"]);
+    let records = RawLas::read(Path::new(&las)).unwrap().records;
+    let mut fields: Vec<_> = records.iter().map(|r| (r[16], word(r, 12))).collect();
+    fields.sort_unstable();
+    assert_eq!(fields, [(2, 40_000), (5, 77), (6, 4)]);
+    // What does not fit is not bent.
+    fs::write(at("c.csv"), "x,y,z,Classification\n1,2,3,300\n1,2,4,\n").unwrap();
+    let wide = at("c.esker");
+    esker_ok(&["ingest", &wide, &at("c.csv")]);
+    let output = esker(&["query", &wide, "-o", &at("c.las")]);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert!(told.contains("which LAS's own field can't hold: that is 0"), "{told}");
+}
+
+#[test]
+fn headers_with_units_and_short_words_name_coordinates() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let headers = ["E [m];N [m];H [m]", "E(m);N(m);h(m)", "lon;lat;alt", "lng;lat;height", "Ost;Nord;Höhe", "X;Y;H"];
+    for (i, header) in headers.into_iter().enumerate() {
+        let (file, store) = (at(&format!("{i}.csv")), at(&format!("{i}.esker")));
+        fs::write(&file, format!("{header}\n11.5;48.25;500.5\n")).unwrap();
+        esker_ok(&["ingest", &store, &file]);
+        assert_eq!(esker_ok(&["query", &store, "-o", "-", "--format", "xyz"]), "11.5 48.25 500.5\n", "{header}");
+    }
+    // Beside x, y and z such words are other things.
+    fs::write(at("z.csv"), "x,y,z,h\n1,2,3,4\n").unwrap();
+    esker_ok(&["ingest", &at("z.esker"), &at("z.csv")]);
+    assert!(names(&at("z.esker")).contains(&"h".to_owned()));
+    // Degrees have more digits than metres.
+    fs::write(
+        at("deg.csv"),
+        "longitude,latitude,height\n11.57549012,48.13743256,519.25\n11.57549345,48.13743999,519.5\n",
+    )
+    .unwrap();
+    let report = json(&["ingest", &at("deg.esker"), &at("deg.csv")]);
+    assert_eq!(report["scans"][0]["positions"], "exact", "{report}");
+}

@@ -33,7 +33,7 @@
 //! }
 //! assert_eq!(points, low.count(&snapshot)?.points);
 //!
-//! // As few as keep each of them within a metre of one, as a file.
+//! // Thinned, each of them within a metre of one that is kept, as a file.
 //! let coarse = low.detail(Detail::MaxError(1.0));
 //! let done = export(&snapshot, &coarse, Target::File(&ground), &ExportOptions::default(), |_| {})?;
 //! assert!(done.answer.points < points && done.answer.error_bound.is_some_and(|bound| bound <= 1.0));

@@ -50,7 +50,8 @@ pub(super) struct Arguments {
     /// distance: distance,amount=2,levels=16,cube=minimum,min-ratio=0.001,split=LENGTH.
     #[arg(long, value_name = "POLICY", requires = "camera", value_parser = Policy::parse)]
     policy: Option<Policy>,
-    /// As few points as keep every matching point within D of one of them, in CRS units.
+    /// Thinned to the coarsest cells with which every matching point is within D of a kept one, in CRS units; cells halve
+    /// from level to level, so it is often much nearer.
     #[arg(long, value_name = "D", value_parser = values::not_negative, conflicts_with_all = ["spacing", "level"])]
     max_error: Option<f64>,
     /// One point per cell of at most D, in CRS units.

@@ -1,16 +1,17 @@
 //! A file that is read by position: no shared cursor, so that threads read pieces at once.
 
 use super::FormatError;
+use super::handles::Handle;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// An open file and its size.
+/// A file that was opened, and its size.
 #[derive(Debug)]
 pub(super) struct SourceFile {
     path: PathBuf,
-    file: File,
+    handle: Handle,
     bytes: u64,
 }
 
@@ -18,9 +19,8 @@ impl SourceFile {
     /// Opens `path` for reading.
     pub fn open(path: &Path) -> Result<Self, FormatError> {
         let failed = |source| FormatError::Io { path: path.to_owned(), action: "opening", source };
-        let file = File::open(path).map_err(failed)?;
-        let bytes = file.metadata().map_err(failed)?.len();
-        Ok(Self { path: path.to_owned(), file, bytes })
+        let (handle, bytes) = Handle::open(path).map_err(failed)?;
+        Ok(Self { path: path.to_owned(), handle, bytes })
     }
 
     /// Its path, as it was given.
@@ -35,18 +35,23 @@ impl SourceFile {
 
     /// Fills `buffer` from `offset` on as far as the file goes; gives the number of bytes read.
     pub fn read_up_to(&self, buffer: &mut [u8], offset: u64) -> Result<usize, FormatError> {
+        let failed = |source| FormatError::Io { path: self.path.clone(), action: "reading", source };
+        let file = self.handle.get(&self.path).map_err(failed)?;
         let mut done = 0;
         while done < buffer.len() {
-            match read_at(&self.file, &mut buffer[done..], offset.saturating_add(done as u64)) {
+            match read_at(&file, &mut buffer[done..], offset.saturating_add(done as u64)) {
                 Ok(0) => break,
                 Ok(n) => done += n,
                 Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(source) => {
-                    return Err(FormatError::Io { path: self.path.clone(), action: "reading", source });
-                }
+                Err(source) => return Err(failed(source)),
             }
         }
         Ok(done)
+    }
+
+    /// What one call of the system gives from `offset` on.
+    fn read_some(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        read_at(&*self.handle.get(&self.path)?, buffer, offset)
     }
 
     /// The `len` bytes at `offset`, or as many as the file has; never allocates more than it has.
@@ -121,7 +126,7 @@ impl io::Read for Window<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let room = usize::try_from(self.end.saturating_sub(self.position)).unwrap_or(usize::MAX);
         let len = buffer.len().min(room);
-        let read = read_at(&self.file.file, &mut buffer[..len], self.position)?;
+        let read = self.file.read_some(&mut buffer[..len], self.position)?;
         self.position += read as u64;
         Ok(read)
     }
@@ -153,7 +158,7 @@ impl io::Read for Buffered {
             None => {
                 self.base = self.position;
                 self.filled = 0;
-                self.filled = read_at(&self.file.file, &mut self.buffer, self.position)?;
+                self.filled = self.file.read_some(&mut self.buffer, self.position)?;
                 0
             }
         };

@@ -9,6 +9,7 @@ mod e57;
 mod error;
 mod file;
 mod guard;
+mod handles;
 pub mod las;
 mod names;
 mod pcd;

@@ -89,6 +89,7 @@ pub(super) fn add(
         (read, partition.finish())
     };
     report.temp_bytes = report.temp_bytes.max(room.temp_bytes());
+    refuse_if_nothing_is_there(sources, &read.tallies)?;
     refuse_if_all_are_outside(sources, &read.tallies, lattice)?;
 
     let scans = scan_rows(writer, batch, &read, &plans)?;
@@ -244,6 +245,16 @@ fn scan_rows(
         });
     }
     Ok(scans)
+}
+
+/// Refuses sources that announce records and have no whole one.
+fn refuse_if_nothing_is_there(sources: &[Source], tallies: &[ScanTally]) -> Result<(), Stopped> {
+    let refused = |(source, tally): (&Source, &ScanTally)| {
+        let missing = tally.rejected.truncated;
+        let path = source.reader.info().path.clone();
+        (missing > 0 && tally.read == 0).then_some(IngestError::Nothing { path, missing })
+    };
+    refuse(sources.iter().zip(tallies).map(refused))
 }
 
 /// Refuses sources of which no point is in the lattice.

@@ -74,6 +74,16 @@ pub enum IngestError {
     /// Nothing was ever stored.
     #[error("{0}: an ingest was cut off before anything was stored; give that again first")]
     Unfinished(PathBuf),
+    /// A file is cut before its first whole record.
+    #[error(
+        "{path}: ends before the first of the records that its header announces ({missing}); copy it again from where it is whole"
+    )]
+    Nothing {
+        /// The file.
+        path: PathBuf,
+        /// How many are missing.
+        missing: u64,
+    },
     /// A camera of this name is kept already.
     #[error("the store has a bookmark '{0}'; give another name; --force puts it in its place")]
     BookmarkTaken(String),
@@ -267,7 +277,10 @@ impl IngestError {
     pub(super) fn source_path(&self) -> Option<&Path> {
         match self {
             Self::Format(error) => Some(error.path()),
-            Self::Grid(path) | Self::OutOfRange { path, .. } | Self::Truncated { path, .. } => Some(path),
+            Self::Grid(path)
+            | Self::OutOfRange { path, .. }
+            | Self::Truncated { path, .. }
+            | Self::Nothing { path, .. } => Some(path),
             _ => None,
         }
     }

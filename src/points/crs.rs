@@ -144,7 +144,9 @@ impl Crs {
             [self.horizontal_epsg, self.vertical_epsg].into_iter().flatten().map(|c| format!("EPSG:{c}")).collect();
         let codes = codes.join(" + ");
         let of_text = self.node().and_then(|n| n.name().map(str::to_owned));
-        match of_text.or_else(|| GeoKeys::of(self).citation()) {
+        // As writers of text that know codes alone have it.
+        let is_name = |name: &String| codes.is_empty() || !name.eq_ignore_ascii_case("unknown");
+        match of_text.or_else(|| GeoKeys::of(self).citation()).filter(is_name) {
             Some(name) if codes.is_empty() => name,
             Some(name) => format!("{name} ({codes})"),
             None if codes.is_empty() => "unknown".to_owned(),

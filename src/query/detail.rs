@@ -16,7 +16,7 @@ pub enum Detail {
     Level(u32),
     /// One matching point per occupied cell of at most this side, in CRS units; everything if that is below the quantum.
     Spacing(f64),
-    /// As few points as keep every matching point within this distance, in CRS units, of a returned one, by the bound of
+    /// The coarsest level that keeps every matching point within this distance, in CRS units, of a returned one, by the bound of
     /// a level.
     MaxError(f64),
 }

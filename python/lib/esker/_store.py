@@ -234,7 +234,7 @@ class Reader:
         How fine (everything, if nothing is said):
 
         ``max_error``
-            As few points as keep every matching point within this distance of one of them.
+            Thinned to the coarsest cells with which every matching point is within this distance of a kept one.
         ``spacing``, ``level``
             One point in each cell of at most this side; of this level.
         ``view``, ``max_error_px``

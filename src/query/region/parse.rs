@@ -81,6 +81,11 @@ impl Region {
         if text_or_file.trim().is_empty() {
             return Err(refused("the polygon is an empty text; expected WKT, GeoJSON or the name of a file"));
         }
+        let ending = std::path::Path::new(text_or_file).extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if let Some(form @ ("shp" | "gpkg" | "kml" | "kmz" | "dxf" | "gml" | "zip")) = ending.as_deref() {
+            let remedy = "polygons are read from GeoJSON and WKT: convert it, with `ogr2ogr plots.geojson` for example";
+            return Err(refused(format!("{text_or_file}: .{form} is not read; {remedy}")));
+        }
         let text = read(text_or_file, "neither WKT nor GeoJSON, and as a file it")?;
         let area = Polygons::parse(&text).map_err(|e| refused(format!("{text_or_file}: {e}")))?;
         Self::new_prism(area, z)

@@ -63,8 +63,7 @@ impl Wishes {
         };
         Ok(IngestOptions {
             lattice,
-            memory_bytes: self.memory,
-            threads: self.threads,
+            resources: self.resources(),
             crs: self.crs.as_deref().map(parse_crs).transpose()?,
             ignore_crs: self.ignore_crs,
             name: self.name.clone(),
@@ -73,7 +72,6 @@ impl Wishes {
             recursive: self.recursive,
             strict: self.strict,
             keep_going: self.keep_going,
-            wait: self.wait,
             ..IngestOptions::default()
         })
     }

@@ -4,7 +4,7 @@ use super::progress::{Mode, Shown};
 use super::{Outcome, output, values};
 use crate::formats::{InputFormat, parse_columns, read_poses};
 use crate::geometry::Pose;
-use crate::ingest::{IngestError, IngestOptions, LatticeWish, Report, ScanReport, ingest};
+use crate::ingest::{IngestError, IngestOptions, LatticeWish, Report, Resources, ScanReport, ingest};
 use crate::lattice::Lattice;
 use crate::points::Crs;
 use crate::store::{Store, StoreError};
@@ -99,8 +99,11 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     }
     let options = IngestOptions {
         lattice: wish,
-        memory_bytes: arguments.memory,
-        threads: arguments.threads.map(usize::from),
+        resources: Resources {
+            memory_bytes: arguments.memory,
+            threads: arguments.threads.map(usize::from),
+            wait: arguments.wait,
+        },
         crs: arguments.crs,
         ignore_crs: arguments.ignore_crs,
         name: arguments.name,
@@ -109,7 +112,6 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
         recursive: arguments.recursive,
         strict: arguments.strict,
         keep_going: arguments.keep_going,
-        wait: arguments.wait,
         ..IngestOptions::default()
     };
     let shown = Shown::new(arguments.progress);

@@ -45,9 +45,7 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: Arguments) -> anyhow::Result<Outcome> {
     let shown = Shown::new(arguments.changing.progress);
     let options = IngestOptions {
-        memory_bytes: arguments.changing.memory,
-        threads: arguments.changing.threads.map(usize::from),
-        wait: arguments.changing.wait,
+        resources: arguments.changing.resources(),
         poses: super::ingest::poses(arguments.pose.as_slice())?,
         columns: arguments.columns.map(|c| c.0),
         ignore_crs: arguments.ignore_crs,

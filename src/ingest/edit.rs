@@ -8,7 +8,7 @@ use super::layers::{digest_of_all, fold_all, joined, scan_table, taken_layers, w
 use super::measure::measure;
 use super::progress::{Progress, Stage};
 use super::report::{NamedScan, Report, Skipped, Stages};
-use super::run::{fold_at_last, opened, refuse_another_lattice};
+use super::run::{fold, opened, refuse_another_lattice};
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
@@ -114,10 +114,9 @@ pub fn replace(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<Report, IngestError> {
-    let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
     // What takes a scan's place is not left out.
     let options = &IngestOptions { keep_going: false, ..options.clone() };
-    Context::run(path, &resources, progress, |context| {
+    Context::run(path, &options.resources, progress, |context| {
         let begun = Instant::now();
         let mut stages = Stages::default();
         let (store, mut writer) = opened(context, Store::open(path)?)?;
@@ -160,7 +159,7 @@ pub fn replace(
         let strict = options.strict;
         let batch = Batch { sources, measured, crs, replaced: &replaced, visible, strict, keep_going: false };
         add(context, &store, &mut writer, &batch, &mut stages, &mut report)?;
-        fold_at_last(context, &store, &mut writer, &mut report)?;
+        fold(context, &store, &mut writer, &mut report)?;
         report.seconds = begun.elapsed().as_secs_f64();
         report.points_per_second = if report.seconds > 0.0 { report.points as f64 / report.seconds } else { 0.0 };
         report.peak_memory_bytes = peak_memory();

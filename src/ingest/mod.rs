@@ -62,10 +62,8 @@ use crate::store::model::{FORMAT_G, FORMAT_LEAF_CAPACITY};
 pub struct IngestOptions {
     /// Quantum and phase of a new store.
     pub lattice: LatticeWish,
-    /// Memory to use at most; `None` for a quarter of the machine's.
-    pub memory_bytes: Option<u64>,
-    /// Threads; `None` for one per core.
-    pub threads: Option<usize>,
+    /// Memory and threads, and whether to wait for another writer.
+    pub resources: Resources,
     /// The CRS of all inputs, instead of their own.
     pub crs: Option<Crs>,
     /// Take coordinates as they are though the CRS differ.
@@ -82,8 +80,6 @@ pub struct IngestOptions {
     pub strict: bool,
     /// Leave out inputs that can't be read, and store the others; the [`Report`] names them.
     pub keep_going: bool,
-    /// Wait for a store that another process is writing to, instead of failing.
-    pub wait: bool,
     /// The sampling grid of a new store, `2^g` cells a side. Format version 1 has 7; others are for tests.
     #[doc(hidden)]
     pub g: u8,
@@ -96,8 +92,7 @@ impl Default for IngestOptions {
     fn default() -> Self {
         Self {
             lattice: LatticeWish::default(),
-            memory_bytes: None,
-            threads: None,
+            resources: Resources::default(),
             crs: None,
             ignore_crs: false,
             name: None,
@@ -106,7 +101,6 @@ impl Default for IngestOptions {
             recursive: false,
             strict: false,
             keep_going: false,
-            wait: false,
             g: FORMAT_G,
             leaf_capacity: FORMAT_LEAF_CAPACITY,
         }

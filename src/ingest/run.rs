@@ -2,7 +2,7 @@
 
 use super::batch::{Batch, add};
 use super::budget::peak_memory;
-use super::context::{Context, Resources};
+use super::context::Context;
 use super::error::Stopped;
 use super::lattice_choice::{Evidence, choose};
 use super::layers::fold_if_many;
@@ -46,8 +46,7 @@ pub fn ingest(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<Report, IngestError> {
-    let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
-    Context::run(path, &resources, progress, |context| run(context, &sources::Inputs::Files(inputs), options))
+    Context::run(path, &options.resources, progress, |context| run(context, &sources::Inputs::Files(inputs), options))
 }
 
 /// Puts points that a program has made into a store, as a scan of the table's name, creating the store if it is not there. The
@@ -85,10 +84,9 @@ pub fn ingest_table(
     options: &IngestOptions,
     progress: &dyn Progress,
 ) -> Result<Report, IngestError> {
-    let resources = Resources { memory_bytes: options.memory_bytes, threads: options.threads, wait: options.wait };
     let options = &IngestOptions { name: None, columns: None, keep_going: false, ..options.clone() };
     let inputs = sources::Inputs::Table(Arc::new(table));
-    Context::run(path, &resources, progress, |context| run(context, &inputs, options))
+    Context::run(path, &options.resources, progress, |context| run(context, &inputs, options))
 }
 
 fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOptions) -> Result<Report, IngestError> {
@@ -180,11 +178,7 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
             Ok(()) => {
                 site_crs = crs;
                 rest.drop_first(range.len());
-                if rest.sources.is_empty() {
-                    fold_at_last(context, store, writer, &mut report)?;
-                } else {
-                    fold_if_many(context, store, writer)?;
-                }
+                fold(context, store, writer, &mut report)?;
                 continue;
             }
             // It is read once more without them.
@@ -260,9 +254,9 @@ fn new_store(
     }
 }
 
-/// Joins layers if there are many, as the last thing that is done. That it can't be done is no error: what was committed counts,
-/// queries see all layers, and the next change tries again.
-pub(super) fn fold_at_last(
+/// Joins layers if there are many. That it can't be done is no error: what was committed counts, queries see all layers, and the
+/// next change tries again.
+pub(super) fn fold(
     context: &Context<'_>,
     store: &Store,
     writer: &mut Writer,

@@ -80,7 +80,7 @@ impl Site {
         file("new.las", 400, 100, 200);
         let options = IngestOptions {
             lattice: LatticeWish { quantum: Some([0.01; 3]), phase: None },
-            threads: Some(1),
+            resources: esker::ingest::Resources { threads: Some(1), ..Default::default() },
             g: 2,
             leaf_capacity: 16,
             ..IngestOptions::default()

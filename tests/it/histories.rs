@@ -21,8 +21,7 @@ const FOUND: [u64; 3] = [906, 2262, 4205];
 fn options(memory: Option<u64>) -> IngestOptions {
     IngestOptions {
         lattice: LatticeWish { quantum: Some([0.01; 3]), phase: None },
-        memory_bytes: memory,
-        threads: Some(1),
+        resources: Resources { memory_bytes: memory, threads: Some(1), wait: false },
         g: 2,
         leaf_capacity: 12,
         ..IngestOptions::default()

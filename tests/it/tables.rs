@@ -56,8 +56,13 @@ fn a_table_is_the_store_that_a_file_of_its_points_is() {
     for (name, memory_bytes, threads) in
         [("a.esker", None, None), ("b.esker", Some(1 << 20), Some(1)), ("c.esker", Some(1 << 20), Some(2))]
     {
-        let report =
-            ingest_table(&at(name), table("made"), &IngestOptions { memory_bytes, threads, ..options() }, &()).unwrap();
+        let report = ingest_table(
+            &at(name),
+            table("made"),
+            &IngestOptions { resources: Resources { memory_bytes, threads, wait: false }, ..options() },
+            &(),
+        )
+        .unwrap();
         assert_eq!((report.points, report.scans[0].name.as_str()), (POINTS as u64, "made"));
         assert_eq!(hash(name).points, hash("file.esker").points, "{name}");
         assert_eq!(hash(name).scans, hash("a.esker").scans, "{name}");

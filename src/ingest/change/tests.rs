@@ -33,7 +33,7 @@ fn options() -> IngestOptions {
         lattice: LatticeWish { quantum: Some([1.0; 3]), phase: None },
         g: 2,
         leaf_capacity: 20,
-        threads: Some(2),
+        resources: Resources { threads: Some(2), ..Resources::default() },
         ..IngestOptions::default()
     }
 }

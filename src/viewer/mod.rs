@@ -51,4 +51,7 @@ pub enum ViewerError {
         /// What is wrong.
         what: String,
     },
+    /// The window was closed, and this was asked for before and was not done.
+    #[error("{0}")]
+    NotDone(String, #[source] Option<Box<ViewerError>>),
 }

@@ -110,7 +110,7 @@ impl Viewer {
                     }
                 }
                 News::Filter(filter) => self.model.filter = Some(filter),
-                News::Told(words) => {
+                News::Told(words) | News::Failed(words) => {
                     self.model.tell(words);
                     self.site_asked = false;
                 }
@@ -130,7 +130,7 @@ impl Viewer {
             (self.model.nav.ground, self.ground_asked) = (None, None);
         } else if self.ground_asked.is_none_or(|then| then.elapsed() >= GROUND_EVERY) {
             self.ground_asked = Some(Instant::now());
-            self.worker.ask(Job::Ground(self.model.nav.rig.eye()));
+            self.worker.ask_for_ground(self.model.nav.rig.eye());
         }
     }
 
@@ -151,7 +151,7 @@ impl Viewer {
                         .map_or_else(Vec::new, |site| site.scans.iter().filter(seen).map(|s| s.name.clone()).collect());
                     let wanted = Wanted { bounds, scans, filter: self.model.shown_filter() };
                     self.model.tell(format!("Writing {} ...", path.display()));
-                    self.worker.ask(Job::Export(Box::new(wanted), path));
+                    self.worker.export(Box::new(wanted), path);
                 }
                 Action::FullScreen => {
                     if let Some(open) = &self.open {

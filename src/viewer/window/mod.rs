@@ -103,7 +103,12 @@ pub fn run(options: Options) -> Result<(), ViewerError> {
         // What can't be remembered is no reason to fail.
         let _ = viewer.model.remembered().save(path);
     }
-    match viewer.failed.take() {
+    let Viewer { worker, open, failed, .. } = viewer;
+    // Gone before what was begun is waited for.
+    drop(open);
+    let not_done = worker.close();
+    match failed {
+        failed if !not_done.is_empty() => Err(ViewerError::NotDone(not_done.join("; "), failed.map(Box::new))),
         Some(error) => Err(error),
         None => Ok(()),
     }

@@ -1,6 +1,6 @@
 //! What the newest camera wants is selected, loaded and uploaded.
 
-use super::{Done, Driver, LOADING_BYTES_PER_POINT, PREFETCH_AHEAD, Want};
+use super::{Done, Driver, LOADING_BYTES_PER_POINT, PREFETCH_AHEAD, RETRY_INTERVAL, Want};
 use crate::geometry::Camera;
 use crate::query::WantedPart;
 use crate::stream::cut::keys;
@@ -31,6 +31,9 @@ impl Driver {
         let Some(camera) = &self.request.camera else { return };
         let (content, number) = (content.clone(), *number);
         let now = Instant::now();
+        if self.retry.as_ref().is_some_and(|(then, _)| now < *then) {
+            return;
+        }
         if let Some(since) = self.unanswered.take() {
             (self.selecting, self.foreseeing) = (true, false);
             (self.looked_ahead, self.learned) = (false, false);
@@ -111,8 +114,20 @@ impl Driver {
         let Some((content, current)) = self.content.clone() else { return };
         let selected = match result {
             Ok(selected) => selected,
-            Err(error) => return self.tell(&error),
+            Err(error) => {
+                let told = self.tell(&error);
+                if !ahead {
+                    // A store that can't be read now may be readable later, and what is drawn is not what was asked for.
+                    self.unanswered.get_or_insert(since);
+                    self.retry = Some((Instant::now() + RETRY_INTERVAL, told));
+                }
+                return;
+            }
         };
+        if let Some((_, told)) = self.retry.take_if(|_| !ahead) {
+            let mut status = lock(&self.shared.status);
+            status.error_message.take_if(|words| *words == told);
+        }
         if number != current {
             // Of a generation that is not shown any more.
             self.unanswered.get_or_insert(since);
@@ -142,7 +157,7 @@ impl Driver {
         let loaded = match result {
             Ok(loaded) => loaded,
             Err(error) => {
-                self.tell(&error);
+                let _ = self.tell(&error);
                 self.failed.insert(key);
                 Loaded::default()
             }

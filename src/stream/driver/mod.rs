@@ -5,6 +5,8 @@
 
 mod loading;
 mod publishing;
+#[cfg(test)]
+mod tests;
 
 use super::handle::{Message, Pick, Request, Shared, lock};
 use super::motion::Motion;
@@ -30,6 +32,8 @@ pub const PREFETCH_AHEAD: Duration = Duration::from_millis(400);
 const CHECK_INTERVAL: Duration = Duration::from_millis(250);
 /// How often held lists are looked at while an upload waits for their blocks.
 const ROOM_INTERVAL: Duration = Duration::from_millis(4);
+/// A selection that failed is tried again so much later.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// Memory that a point takes while it is decoded and packed, about.
 const LOADING_BYTES_PER_POINT: u64 = 72;
 
@@ -80,6 +84,8 @@ pub(super) struct Driver {
     missing_points: u64,
     /// The newest camera is not answered yet; since when.
     unanswered: Option<Instant>,
+    /// The selection for it failed: when it is tried again, and what was told.
+    retry: Option<(Instant, String)>,
     want: Option<Want>,
     /// What lies ahead and is not wanted yet.
     ahead: Vec<WantedPart>,
@@ -129,6 +135,7 @@ impl Driver {
             front_complete: false,
             missing_points: 0,
             unanswered: None,
+            retry: None,
             want: None,
             ahead: Vec::new(),
             looked_ahead: true,
@@ -184,6 +191,9 @@ impl Driver {
     fn next_moment(&self) -> Instant {
         let now = Instant::now();
         let mut next = if self.checking || self.opening { now + CHECK_INTERVAL } else { self.next_check };
+        if let (Some((then, _)), false) = (&self.retry, self.selecting) {
+            next = next.min(*then);
+        }
         if self.dirty {
             next = next.min((self.published + SWAP_INTERVAL).max(now + ROOM_INTERVAL));
         }
@@ -258,7 +268,7 @@ impl Driver {
                 self.next_check = Instant::now() + CHECK_INTERVAL;
                 match result {
                     Ok(outdated) => self.outdated |= outdated,
-                    Err(error) => self.tell(&error),
+                    Err(error) => drop(self.tell(&error)),
                 }
             }
             Done::Selected(content, camera, since, ahead, result) => {
@@ -291,7 +301,7 @@ impl Driver {
                 self.unanswered.get_or_insert_with(Instant::now);
                 lock(&self.shared.status).error_message = None;
             }
-            Err(error) => self.tell(&error),
+            Err(error) => drop(self.tell(&error)),
         }
     }
 

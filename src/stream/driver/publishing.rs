@@ -87,21 +87,23 @@ impl Driver {
         }
     }
 
-    pub(super) fn tell(&self, error: &dyn std::error::Error) {
+    /// Says what it told.
+    pub(super) fn tell(&self, error: &dyn std::error::Error) -> String {
         let mut text = error.to_string();
         let mut source = error.source();
         while let Some(cause) = source {
             text = format!("{text}: {cause}");
             source = cause.source();
         }
-        lock(&self.shared.status).error_message = Some(text);
+        lock(&self.shared.status).error_message = Some(text.clone());
         (self.shared.changed)();
+        text
     }
 
     pub(super) fn pool_failed(&self, error: &PoolError) {
         if matches!(error, PoolError::Lost(_)) {
             lock(&self.shared.status).lost = true;
         }
-        self.tell(error);
+        let _ = self.tell(error);
     }
 }

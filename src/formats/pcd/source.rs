@@ -9,7 +9,7 @@ use crate::formats::ply::{self, Conversion};
 use crate::formats::text::{Chunk, Coordinates, Place, Separator, Table, count_rows, first_row};
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::points::{ScalarType, counted};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Bytes given to a sink at a time.
 const RUN_BYTES: usize = 1 << 18;
@@ -30,7 +30,7 @@ enum Points {
     Text(Table),
 }
 
-/// All points field by field, once they are decompressed.
+/// All points field by field.
 struct Columns {
     conversion: Conversion,
     /// Bytes of each field of a point.
@@ -39,7 +39,38 @@ struct Columns {
     start: u64,
     compressed: u32,
     size: u32,
-    plain: OnceLock<Option<Vec<u8>>>,
+    plain: Mutex<Option<Plain>>,
+}
+
+/// The decompressed points, from the first piece that is read to the last: an ingest has many such files open, and memory
+/// for those that are read.
+struct Plain {
+    /// `None`: they are broken.
+    bytes: Option<Arc<Vec<u8>>>,
+    /// Points that no piece has read yet.
+    left: u64,
+}
+
+impl Columns {
+    /// The decompressed points; `None` if they are broken.
+    fn plain(&self, file: &SourceFile, points: u64) -> Result<Option<Arc<Vec<u8>>>, FormatError> {
+        let mut held = self.plain.lock().unwrap_or_else(PoisonError::into_inner);
+        if held.is_none() {
+            let compressed = file.read_vec(self.start, self.compressed.into())?;
+            let bytes = lzf::decompress(&compressed, self.size as usize).map(Arc::new);
+            *held = Some(Plain { bytes, left: points });
+        }
+        Ok(held.as_ref().and_then(|plain| plain.bytes.clone()))
+    }
+
+    /// So many points more were read.
+    fn was_read(&self, points: u64) {
+        let mut held = self.plain.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(plain) = &mut *held {
+            plain.left = plain.left.saturating_sub(points);
+        }
+        held.take_if(|plain| plain.left == 0);
+    }
 }
 
 /// Opens a PCD file.
@@ -48,6 +79,10 @@ struct Columns {
 ///
 /// [`FormatError::Malformed`] for a bad header, fields without x, y and z, or compressed sizes that lie.
 pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
+    Ok(Box::new(source_of(file)?))
+}
+
+fn source_of(file: SourceFile) -> Result<PcdSource, FormatError> {
     let file = Arc::new(file);
     let header = Header::read(&file)?;
     let fields = Fields::new(&header.fields).ok_or_else(|| {
@@ -87,7 +122,7 @@ pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
             let widths = header.fields.iter().map(|f| f.count as usize * f.ty.size()).collect();
             let start = header.data_offset + 8;
             let columns =
-                Columns { conversion: conversion()?, widths, start, compressed, size, plain: OnceLock::new() };
+                Columns { conversion: conversion()?, widths, start, compressed, size, plain: Mutex::default() };
             (Points::Columns(columns), header.points)
         }
         Encoding::Ascii => {
@@ -114,7 +149,7 @@ pub fn open(file: SourceFile) -> Result<Box<dyn PointSource>, FormatError> {
     info.is_single =
         header.fields.iter().any(|f| is_axis(&f.name) && f.ty == ScalarType::F32) && header.encoding != Encoding::Ascii;
     info.warnings = warnings;
-    Ok(Box::new(PcdSource { file, info, points }))
+    Ok(PcdSource { file, info, points })
 }
 
 /// The table of an ascii file, and its rows.
@@ -150,18 +185,13 @@ impl PcdSource {
         piece: Piece,
         sink: &mut dyn FnMut(&[u8]) -> bool,
     ) -> Result<Tally, FormatError> {
-        let compressed = match columns.plain.get() {
-            Some(_) => Vec::new(),
-            None => self.file.read_vec(columns.start, columns.compressed.into())?,
-        };
-        let plain = columns.plain.get_or_init(|| lzf::decompress(&compressed, columns.size as usize)).as_ref();
-        drop(compressed);
+        let plain = columns.plain(&self.file, self.info.records)?;
         let plain = plain.ok_or_else(|| {
             self.file.malformed(columns.start, format!("{} bytes compressed by LZF", columns.size), "others")
         })?;
         let bytes = columns.conversion.source_bytes();
         let total = self.info.records as usize;
-        self.in_runs(&columns.conversion, piece, sink, |first, from| {
+        let tally = self.in_runs(&columns.conversion, piece, sink, |first, from| {
             let mut column = 0;
             let mut at = 0;
             for &width in &columns.widths {
@@ -173,7 +203,10 @@ impl PcdSource {
                 at += width;
             }
             Ok(from.len() / bytes)
-        })
+        })?;
+        drop(plain);
+        columns.was_read(piece.records);
+        Ok(tally)
     }
 
     /// Gives the records of `piece` to `sink`; `fill` fills a buffer with binary points from one on, and says how many.
@@ -233,6 +266,42 @@ impl PointSource for PcdSource {
             Points::Rows(start, conversion) => self.read_rows(*start, conversion, piece, sink),
             Points::Columns(columns) => self.read_columns(columns, piece, sink),
             Points::Text(table) => table.read(piece, sink),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// They stayed for the life of the source: an ingest of many files had the points of all of them at once.
+    #[test]
+    fn decompressed_points_are_let_go_with_the_last_piece_and_come_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.pcd");
+        let plain: Vec<u8> = (0..15_u8).flat_map(|i| f32::from(i).to_le_bytes()).collect();
+        // Literal runs are valid LZF.
+        let packed: Vec<u8> = plain.chunks(32).flat_map(|run| [&[run.len() as u8 - 1], run].concat()).collect();
+        let head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 5\nHEIGHT 1\nPOINTS 5\n";
+        let sizes = [packed.len() as u32, plain.len() as u32].map(u32::to_le_bytes).concat();
+        std::fs::write(&path, [head.as_bytes(), b"DATA binary_compressed\n", &sizes, &packed].concat()).unwrap();
+        let source = source_of(SourceFile::open(&path).unwrap()).unwrap();
+        let Points::Columns(columns) = &source.points else { panic!("not by columns") };
+        let held = || columns.plain.lock().unwrap().is_some();
+        let mut before: Option<Vec<u8>> = None;
+        for _ in 0..2 {
+            let mut records = Vec::new();
+            for (first, count) in [(0, 2), (2, 2), (4, 1)] {
+                assert_eq!(held(), first > 0);
+                let mut sink = |more: &[u8]| {
+                    records.extend_from_slice(more);
+                    true
+                };
+                source.read(Piece { first, records: count }, &mut sink).unwrap();
+            }
+            assert!(!held());
+            assert_eq!(records.len(), 5 * source.info.layout.stride());
+            assert!(before.replace(records.clone()).is_none_or(|same| same == records));
         }
     }
 }

@@ -227,7 +227,9 @@ impl Reader {
     fn density<'py>(&self, py: Python<'py>, options: Options, side: f64) -> PyResult<Squares<'py>> {
         let (snapshot, query, cancel) = self.asked(py, &options)?;
         let found = found(interruptible(py, || cancel.cancel(), quietly, || query.density(&snapshot, side))?)?;
-        let arrays = (found.counts.into_pyarray(py), found.lowest.into_pyarray(py), found.highest.into_pyarray(py));
+        let counts = found.grid(0, |square| square.points).into_pyarray(py);
+        let lowest = found.grid(f64::NAN, |square| square.lowest).into_pyarray(py);
+        let arrays = (counts, lowest, found.grid(f64::NAN, |square| square.highest).into_pyarray(py));
         Ok((arrays, found.first, found.size))
     }
 

@@ -4,7 +4,7 @@ use super::which::{Which, tell_why_nothing};
 use super::{Outcome, Usage, output, values};
 use crate::formats::{Raster, RasterFormat, write_raster};
 use crate::points::Crs;
-use crate::query::Density;
+use crate::query::{Density, DensitySquare};
 use crate::store::{Limits, Store};
 use anyhow::bail;
 use clap::{Args, ValueEnum};
@@ -93,11 +93,11 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
     let (query, watching) = arguments.which.watched(arguments.which.query(region.clone(), &snapshot)?, false);
     let density = query.density(&snapshot, arguments.side)?;
     drop(watching);
-    if density.counts.is_empty() {
+    if density.squares.is_empty() {
         tell_why_nothing(&snapshot, &region, &arguments.which.scans)?;
     }
     if let Some((path, format)) = target {
-        if format == Format::Asc && density.counts.is_empty() {
+        if format == Format::Asc && density.squares.is_empty() {
             bail!("no points match, and a raster of no squares is none: nothing was written");
         }
         let value = arguments.value.unwrap_or(Value::Count);
@@ -109,29 +109,33 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<Outcome> {
             }
         };
         let Density { side, first, size, .. } = density;
+        let places: Vec<usize> = density.squares.iter().map(|square| density.place(square)).collect();
+        let counts = matches!(value, Value::Count | Value::Density);
+        let empty = if counts { 0.0 } else { f64::NAN };
         let wkt = snapshot.site().crs.as_ref().and_then(|crs| crs.wkt.as_deref());
-        write_raster(path, format, &Raster { side, first, size, bands: &bands, wkt }, arguments.force)?;
+        let raster = Raster { side, first, size, places: &places, bands: &bands, empty, wkt };
+        write_raster(path, format, &raster, arguments.force)?;
     }
     let to_stdout = target.is_some_and(|(path, _)| path == Path::new("-"));
     report(arguments, &density, snapshot.site().crs.as_ref(), to_stdout)?;
     Ok(Outcome::Done)
 }
 
-/// A value of each square; NaN where there is none.
+/// A value of each square that has points.
 fn band(density: &Density, value: Value) -> Vec<f64> {
-    let count = |n: &u64| *n as f64;
-    match value {
-        Value::Count => density.counts.iter().map(count).collect(),
-        Value::Density => density.counts.iter().map(|n| count(n) / (density.side * density.side)).collect(),
-        Value::Lowest => density.lowest.clone(),
-        Value::Highest => density.highest.clone(),
-    }
+    let of = |square: &DensitySquare| match value {
+        Value::Count => square.points as f64,
+        Value::Density => square.points as f64 / (density.side * density.side),
+        Value::Lowest => square.lowest,
+        Value::Highest => square.highest,
+    };
+    density.squares.iter().map(of).collect()
 }
 
 fn report(arguments: &Arguments, density: &Density, crs: Option<&Crs>, to_stdout: bool) -> anyhow::Result<()> {
-    let points: u64 = density.counts.iter().sum();
-    let full = density.counts.iter().filter(|n| **n > 0).count() as u64;
-    let most = density.counts.iter().max().copied().unwrap_or(0);
+    let points: u64 = density.squares.iter().map(|square| square.points).sum();
+    let full = density.squares.len() as u64;
+    let most = density.squares.iter().map(|square| square.points).max().unwrap_or(0);
     let area = full as f64 * density.side * density.side;
     let mean = if full > 0 { points as f64 / area } else { 0.0 };
     if arguments.json {

@@ -13,9 +13,8 @@ use std::collections::HashMap;
 /// The most squares of a grid.
 const MOST_SQUARES: u64 = 1 << 28;
 
-/// A grid of squares in plan, x first: square `(i, j)` is at `j * size[0] + i`, and holds the points with
-/// `floor(x / side) = first[0] + i` and `floor(y / side) = first[1] + j`: exact, the side and the coordinates being
-/// decimals.
+/// A grid of squares in plan, of which those are kept that have points: square `(i, j)` has the points with
+/// `floor(x / side) = i` and `floor(y / side) = j`: exact, the side and the coordinates being decimals.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Density {
@@ -25,14 +24,41 @@ pub struct Density {
     pub first: [i64; 2],
     /// Squares on each axis: just those between the outermost that have a point.
     pub size: [usize; 2],
-    /// Points in each square.
-    pub counts: Vec<u64>,
-    /// The least height in each square; NaN where there is no point.
-    pub lowest: Vec<f64>,
-    /// The greatest height in each square; NaN where there is no point.
-    pub highest: Vec<f64>,
+    /// Those that have points, row by row: by y, then by x.
+    pub squares: Vec<DensitySquare>,
     /// What it cost.
     pub statistics: Statistics,
+}
+
+/// A square that has points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct DensitySquare {
+    /// Its number on each axis.
+    pub at: [i64; 2],
+    /// Points in it; never 0.
+    pub points: u64,
+    /// The least height.
+    pub lowest: f64,
+    /// The greatest height.
+    pub highest: f64,
+}
+
+impl Density {
+    /// Where a square is in the grid: x first, `j * size[0] + i` for the one that is `i` squares from the first in x and `j`
+    /// in y.
+    pub fn place(&self, square: &DensitySquare) -> usize {
+        let [i, j] = [0, 1].map(|axis| square.at[axis].abs_diff(self.first[axis]) as usize);
+        j * self.size[0] + i
+    }
+
+    /// A value of every square of the grid, in the order of [`Density::place`]; those without points have `empty`. Memory
+    /// for all of them, however few have points.
+    pub fn grid<T: Clone>(&self, empty: T, value: impl Fn(&DensitySquare) -> T) -> Vec<T> {
+        let mut grid = vec![empty; self.size[0] * self.size[1]];
+        self.squares.iter().for_each(|square| grid[self.place(square)] = value(square));
+        grid
+    }
 }
 
 /// What a square holds; heights are on the lattice.
@@ -172,24 +198,17 @@ impl Query {
                 squares.check(side)?;
             }
         }
-        let Some([first, _]) = squares.span else {
-            let statistics = plan.finish(super::Answer::default()).statistics;
-            let none = Vec::new;
-            let (counts, lowest, highest) = (Vec::new(), none(), none());
-            return Ok(Density { side, first: [0; 2], size: [0; 2], counts, lowest, highest, statistics });
-        };
+        let first = squares.span.map_or([0; 2], |[first, _]| first);
         let size = squares.size().map(|n| n as usize);
-        let mut counts = vec![0; size[0] * size[1]];
-        let mut lowest = vec![f64::NAN; counts.len()];
-        let mut highest = lowest.clone();
-        for (at, square) in squares.full {
-            let i = (at[1] - first[1]) as usize * size[0] + (at[0] - first[0]) as usize;
-            counts[i] = square.points;
-            lowest[i] = plan.lattice.world_on_axis(2, square.lowest);
-            highest[i] = plan.lattice.world_on_axis(2, square.highest);
-        }
+        let height = |h| plan.lattice.world_on_axis(2, h);
+        let full = squares.full.into_iter().map(|(at, Square { points, lowest, highest })| {
+            let (lowest, highest) = (height(lowest), height(highest));
+            DensitySquare { at, points, lowest, highest }
+        });
+        let mut squares: Vec<_> = full.collect();
+        squares.sort_unstable_by_key(|square| [square.at[1], square.at[0]]);
         let statistics = plan.finish(super::Answer::default()).statistics;
-        Ok(Density { side, first, size, counts, lowest, highest, statistics })
+        Ok(Density { side, first, size, squares, statistics })
     }
 }
 
@@ -241,6 +260,23 @@ impl Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Three numbers for every square between two points: gigabytes, where these are 12 km apart and squares have a side of 1.
+    #[test]
+    fn squares_without_points_take_no_memory_until_a_grid_is_asked_for() {
+        let square = |at, points| DensitySquare { at, points, lowest: -1.0, highest: points as f64 };
+        let mut density = Density {
+            side: 1.0,
+            first: [-3, 5],
+            size: [4, 2],
+            squares: vec![square([-3, 5], 7), square([0, 5], 1), square([-2, 6], 2)],
+            statistics: Statistics::default(),
+        };
+        assert_eq!(density.grid(0, |s| s.points), [7, 0, 0, 1, 0, 2, 0, 0]);
+        density.size = [12_000, 12_000];
+        density.squares.push(square([11_996, 12_004], 3));
+        assert_eq!(density.place(&density.squares[3]), 12_000 * 12_000 - 1);
+    }
 
     /// All squares were gathered before their number was looked at: gigabytes, for a side in millimetres by mistake.
     #[test]

@@ -53,7 +53,7 @@ pub use answer::{Answer, Statistics};
 pub use batches::Batches;
 pub use cancel::Cancel;
 pub use counts::ValueCount;
-pub use density::Density;
+pub use density::{Density, DensitySquare};
 pub use detail::Detail;
 pub use error::QueryError;
 pub use explain::{ExplainedNode, Explanation, Verdict};

@@ -23,12 +23,12 @@ fn no_data(values: &[f64]) -> f64 {
 pub enum RasterFormat {
     /// ESRI's text grid of the first band: six lines that say where it is, then a line for each row, north first.
     Asc,
-    /// A line for each square in which some band has a value other than 0: its centre, then the bands.
+    /// A line for each square that has values: its centre, then the bands.
     Csv,
 }
 
-/// Values of squares: square `(i, j)` is at `j * size[0] + i`, and its low corner at `(first + (i, j)) * side`, the side being
-/// the decimal that it is written as.
+/// Values of some squares of a grid: square `(i, j)` is at `j * size[0] + i`, and its low corner at `(first + (i, j)) * side`,
+/// the side being the decimal that it is written as.
 #[derive(Clone, Copy, Debug)]
 pub struct Raster<'a> {
     /// The side of a square.
@@ -37,8 +37,12 @@ pub struct Raster<'a> {
     pub first: [i64; 2],
     /// Squares on each axis.
     pub size: [usize; 2],
-    /// Names and values; NaN is none.
+    /// Where the squares are that have values, ascending.
+    pub places: &'a [usize],
+    /// Names, and the values of these squares; NaN is none.
     pub bands: &'a [(&'a str, Vec<f64>)],
+    /// What a grid says of all others; NaN is none.
+    pub empty: f64,
     /// The WKT of the coordinates' CRS.
     pub wkt: Option<&'a str>,
 }
@@ -98,15 +102,21 @@ impl Raster<'_> {
         writeln!(out, "ncols {across}\nnrows {up}\nxllcorner {x}\nyllcorner {y}")?;
         let values = self.bands.first().map_or(&[][..], |(_, values)| values);
         let no_data = no_data(values);
+        let push = |line: &mut Vec<u8>, value: f64| push_f64(line, if value.is_nan() { no_data } else { value });
         writeln!(out, "cellsize {}\nNODATA_value {no_data}", self.side)?;
         let mut line = Vec::new();
-        for row in values.chunks(across.max(1)).rev() {
+        let mut rest = self.places;
+        for row in (0..up).rev() {
             line.clear();
-            for (i, &value) in row.iter().enumerate() {
+            let before = rest.partition_point(|&place| place < row * across);
+            let mut full = rest[before..].iter().zip(values.get(before..).unwrap_or(&[])).peekable();
+            rest = &rest[..before];
+            for i in 0..across {
                 if i > 0 {
                     line.push(b' ');
                 }
-                push_f64(&mut line, if value.is_nan() { no_data } else { value });
+                let here = full.next_if(|(place, _)| **place == row * across + i);
+                push(&mut line, here.map_or(self.empty, |(_, value)| *value));
             }
             line.push(b'\n');
             out.write_all(&line)?;
@@ -122,21 +132,16 @@ impl Raster<'_> {
         }
         line.push(b'\n');
         out.write_all(&line)?;
-        let [across, up] = self.size;
-        let (x, y): (Vec<f64>, Vec<f64>) =
-            ((0..across).map(|i| self.centre(0, i)).collect(), (0..up).map(|j| self.centre(1, j)).collect());
-        for at in 0..across * up {
-            if self.bands.iter().all(|(_, values)| values[at].is_nan() || values[at] == 0.0) {
-                continue;
-            }
+        let across = self.size[0].max(1);
+        for (n, place) in self.places.iter().enumerate() {
             line.clear();
-            push_f64(&mut line, x[at % across]);
+            push_f64(&mut line, self.centre(0, place % across));
             line.push(b',');
-            push_f64(&mut line, y[at / across]);
+            push_f64(&mut line, self.centre(1, place / across));
             for (_, values) in self.bands {
                 line.push(b',');
-                if !values[at].is_nan() {
-                    push_f64(&mut line, values[at]);
+                if let Some(&value) = values.get(n).filter(|value| !value.is_nan()) {
+                    push_f64(&mut line, value);
                 }
             }
             line.push(b'\n');
@@ -153,28 +158,33 @@ mod tests {
     #[test]
     fn a_grid_begins_in_the_north_and_a_table_has_the_centres() {
         let folder = tempfile::tempdir().unwrap();
-        let bands =
-            [("Count", vec![1.0, 0.0, 2.0, 3.0, 0.0, 4.5]), ("Lowest", vec![7.0, f64::NAN, 8.0, 9.0, f64::NAN, 1.0])];
-        let written = |bands: &[(&str, Vec<f64>)], format| {
+        let bands = [("Count", vec![1.0, 2.0, 3.0, 4.5]), ("Lowest", vec![7.0, 8.0, 9.0, 1.0])];
+        let written = |places: &[usize], bands: &[(&str, Vec<f64>)], empty, format| {
             let path = folder.path().join("a");
-            write_raster(&path, format, &Raster { side: 0.5, first: [-2, 10], size: [3, 2], bands, wkt: None }, true)
-                .unwrap();
+            let raster = Raster { side: 0.5, first: [-2, 10], size: [3, 2], places, bands, empty, wkt: None };
+            write_raster(&path, format, &raster, true).unwrap();
             std::fs::read_to_string(path).unwrap()
         };
         let head = "ncols 3\nnrows 2\nxllcorner -1\nyllcorner 5\ncellsize 0.5\nNODATA_value -9999\n";
-        assert_eq!(written(&bands[..1], RasterFormat::Asc), format!("{head}3 0 4.5\n1 0 2\n"));
-        assert_eq!(written(&bands[1..], RasterFormat::Asc), format!("{head}9 -9999 1\n7 -9999 8\n"));
+        let (places, asc) = ([0, 2, 3, 5], RasterFormat::Asc);
+        assert_eq!(written(&places, &bands[..1], 0.0, asc), format!("{head}3 0 4.5\n1 0 2\n"));
+        assert_eq!(written(&places, &bands[1..], f64::NAN, asc), format!("{head}9 -9999 1\n7 -9999 8\n"));
+        assert_eq!(written(&[1], &bands[1..], 0.0, asc), format!("{head}0 0 0\n0 7 0\n"));
         let odd = [("Lowest", vec![-9999.0, f64::NAN, -99_999.0, 9.0, 2.0, 1.0])];
         let head = head.replace("-9999\n", "-999999\n");
-        assert_eq!(written(&odd, RasterFormat::Asc), format!("{head}9 2 1\n-9999 -999999 -99999\n"));
+        let all = [0, 1, 2, 3, 4, 5];
+        assert_eq!(written(&all, &odd, 0.0, asc), format!("{head}9 2 1\n-9999 -999999 -99999\n"));
         let table = "X,Y,Count,Lowest\n-0.75,5.25,1,7\n0.25,5.25,2,8\n-0.75,5.75,3,9\n0.25,5.75,4.5,1\n";
-        assert_eq!(written(&bands, RasterFormat::Csv), table);
+        assert_eq!(written(&places, &bands, 0.0, RasterFormat::Csv), table);
     }
 
     /// Products of floats gave 770519.3999999999.
     #[test]
     fn edges_and_centres_are_the_nearest_floats_to_multiples_of_the_side() {
-        let raster = |side, first| Raster { side, first: [first; 2], size: [1; 2], bands: &[], wkt: None };
+        let raster = |side, first| {
+            let first = [first; 2];
+            Raster { side, first, size: [1; 2], places: &[], bands: &[], empty: 0.0, wkt: None }
+        };
         for n in (-5000..5000).chain(7_705_000..7_706_000) {
             let text = |tenths: i64| format!("{tenths}e-2").parse::<f64>().unwrap();
             assert_eq!(raster(0.1, n).at(2 * i128::from(n)), text(10 * n));

@@ -295,15 +295,16 @@ proptest! {
             *square = (square.0 + 1, square.1.min(w[2]), square.2.max(w[2]));
         }
         let found = asked.query(&test).density(&test.snapshot, hundredths as f64 / 100.0).unwrap();
-        let mut squares = BTreeMap::new();
-        for (i, &n) in found.counts.iter().enumerate() {
-            let at = [i % found.size[0], i / found.size[0]];
-            prop_assert_eq!(n == 0, found.lowest[i].is_nan() && found.highest[i].is_nan());
-            if n > 0 {
-                let at = [0, 1].map(|a| found.first[a] + at[a] as i64);
-                squares.insert(at, (n, found.lowest[i], found.highest[i]));
-            }
+        prop_assert!(found.squares.is_sorted_by_key(|s| found.place(s)));
+        prop_assert!(found.squares.iter().all(|s| found.place(s) < found.size[0] * found.size[1]));
+        let counts = found.grid(0, |s| s.points);
+        let first = |s: &crate::query::DensitySquare| [0, 1].map(|i| s.at[i].abs_diff(found.first[i]) as usize);
+        for s in &found.squares {
+            let [i, j] = first(s);
+            prop_assert_eq!(counts[j * found.size[0] + i], s.points);
         }
+        prop_assert_eq!(counts.iter().sum::<u64>(), found.squares.iter().map(|s| s.points).sum::<u64>());
+        let squares: BTreeMap<_, _> = found.squares.iter().map(|s| (s.at, (s.points, s.lowest, s.highest))).collect();
         prop_assert_eq!(squares, expected);
     }
 }
@@ -339,7 +340,7 @@ fn a_coarse_density_reads_nothing() {
     let count = points.len() as u64;
     let test = store(&[points], Params { g: 4, leaf_capacity: 500 }, None);
     let found = Query::new().density(&test.snapshot, 1e6).unwrap();
-    assert_eq!(found.counts, [count]);
+    assert_eq!(found.squares.iter().map(|s| s.points).collect::<Vec<_>>(), [count]);
     assert_eq!(found.statistics.bytes_read, 0);
     // The squares of a side lie in those of twice the side, so what rows tell of these they tell of those.
     let decoded = |side: f64| Query::new().density(&test.snapshot, side).unwrap().statistics.points_decoded;

@@ -128,7 +128,7 @@ proptest! {
             let query = query.attributes(["class", "height", "code"]);
             let found = query.nearest(&test.snapshot, &place, k, None).unwrap();
             let density = query.density(&test.snapshot, side).unwrap();
-            (points(&found.batch), found.distances, found.ends, density.first, density.size, density.counts)
+            (points(&found.batch), found.distances, found.ends, density.first, density.size, density.squares)
         };
         prop_assert_eq!(of(&test, true), of(&one, true));
         prop_assert_eq!(of(&test, false), of(&one, false));

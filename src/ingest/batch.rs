@@ -65,8 +65,11 @@ pub(super) fn add(
     let sources = batch.sources;
     let plans = plans(sources, lattice)?;
 
-    let records: u64 = sources.iter().map(|s| s.reader.info().records).sum();
-    let payload: u64 = sources.iter().map(|s| s.reader.info().records * s.reader.info().layout.payload as u64).sum();
+    // What headers announce, which may be any number: too many is what does not fit, not a small number.
+    let infos = || sources.iter().map(|s| s.reader.info());
+    let records = infos().map(|info| info.records).fold(0, u64::saturating_add);
+    let payload = infos().map(|info| info.records.saturating_mul(info.layout.payload as u64));
+    let payload = payload.fold(0, u64::saturating_add);
     let hint = hinted_bounds(lattice, sources, batch.measured);
     let mut room = Room::new(context, site.g, hint, records, payload, payload / LEAST_SHARE)?;
     // Something for every thread, also of a small file.

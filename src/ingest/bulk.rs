@@ -42,7 +42,8 @@ impl Room {
     ) -> Result<Self, IngestError> {
         let wide = hint.is_some_and(|h| bucket_exponent(&h, 1).1);
         let key_bytes = if wide { <Key as RowKey>::BYTES } else { <u64 as RowKey>::BYTES } as u64;
-        let budget = Budget::new(context.memory, rows, rows * key_bytes + payload_bytes, context.threads);
+        let total_bytes = rows.saturating_mul(key_bytes).saturating_add(payload_bytes);
+        let budget = Budget::new(context.memory, rows, total_bytes, context.threads);
         // Some for every thread, also of a few rows.
         let buckets = budget.buckets.max((rows >> 13).min(4 * context.threads as u64));
         let k = hint.map_or(0, |h| bucket_exponent(&h, buckets).0).max(g);

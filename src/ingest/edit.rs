@@ -74,7 +74,7 @@ pub fn remove(
         let gone: Vec<&Scan> = snapshot.scans().iter().filter(|s| doomed.contains(&s.id)).collect();
         let mut removed = Removed {
             scans: gone.iter().map(|s| NamedScan::new(s)).collect(),
-            points: gone.iter().map(|s| s.stored).sum(),
+            points: gone.iter().map(|s| s.stored).fold(0, u64::saturating_add),
             bytes_before,
             ..Removed::default()
         };
@@ -279,7 +279,8 @@ pub fn digest(path: &Path, resources: &Resources, progress: &dyn Progress) -> Re
     Context::run(path, resources, progress, |context| {
         let snapshot = Store::open(path)?.snapshot()?;
         if taken_layers(snapshot.site()).count() < 2 {
-            progress.stage(Stage::Read, snapshot.scans().iter().map(|s| s.stored).sum());
+            let points = snapshot.scans().iter().map(|s| s.stored).fold(0, u64::saturating_add);
+            progress.stage(Stage::Read, points);
             let go_on = |points| {
                 progress.advance(points);
                 !progress.cancelled()

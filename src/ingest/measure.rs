@@ -23,7 +23,8 @@ pub(super) fn measure<C: FromIterator<Result<Option<WorldBounds>, IngestError>>>
         let info = s.reader.info();
         info.bounds_hint.is_none() && info.layout.position == PositionKind::World
     };
-    let total: u64 = sources.iter().filter(|s| lacking(s)).map(|s| s.reader.info().records).sum();
+    let records = sources.iter().filter(|s| lacking(s)).map(|s| s.reader.info().records);
+    let total = records.fold(0, u64::saturating_add);
     let measured = || {
         let of = |source: &Source| {
             if lacking(source) { bounds_of(context, source) } else { Ok(source.reader.info().bounds_hint) }

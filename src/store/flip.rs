@@ -215,7 +215,9 @@ pub(super) fn conservation<'h>(roots: impl IntoIterator<Item = &'h NodeHead>, sc
     let mut found: BTreeMap<ScanId, u64> = BTreeMap::new();
     for root in roots {
         for scan in &root.scans {
-            *found.entry(scan.scan).or_default() += scan.subtree;
+            let points = found.entry(scan.scan).or_default();
+            // As many as a damaged row says; no scan has so many.
+            *points = points.saturating_add(scan.subtree);
         }
     }
     let mut wrong = Vec::new();
@@ -234,4 +236,22 @@ pub(super) fn conservation<'h>(roots: impl IntoIterator<Item = &'h NodeHead>, sc
     }
     wrong.extend(found.into_iter().map(|(id, n)| (id, format!("the tree has {n} points of it, but it is not there"))));
     wrong
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::LatticePoint;
+    use crate::store::model::{Rejected, ScanCount};
+
+    /// The sum was unchecked: it wrapped, or ended the process, before the damage was told.
+    #[test]
+    fn numbers_of_a_damaged_row_that_have_no_sum_are_told_as_damage() {
+        let mut root = NodeHead::without_points(0, Cube::containing(LatticePoint([0; 3]), 4));
+        root.scans = vec![ScanCount { scan: 7, own: 0, subtree: u64::MAX - 1 }];
+        let wrong = conservation([&root, &root], &[]);
+        assert_eq!(wrong, [(7, format!("the tree has {} points of it, but it is not there", u64::MAX))]);
+        let rejected = Rejected { not_finite: u64::MAX, out_of_range: 2, truncated: 3 };
+        assert_eq!(rejected.total(), u64::MAX);
+    }
 }

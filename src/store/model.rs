@@ -64,9 +64,9 @@ pub struct Rejected {
 }
 
 impl Rejected {
-    /// All of them.
+    /// All of them; the greatest number where the sum does not fit, which a damaged row may say.
     pub fn total(&self) -> u64 {
-        self.not_finite + self.out_of_range + self.truncated
+        self.not_finite.saturating_add(self.out_of_range).saturating_add(self.truncated)
     }
 }
 

@@ -55,7 +55,12 @@ impl Watch {
 
     /// So many more will be read from now on.
     pub(crate) fn expect(&self, points: u64) {
-        self.0.expected.store(self.points().saturating_add(points).min(UNKNOWN - 1), Ordering::Relaxed);
+        // Others may be reading at the same time: what they expect stays.
+        let more = |expected: u64| {
+            let before = if expected == UNKNOWN { self.points() } else { expected.max(self.points()) };
+            before.saturating_add(points).min(UNKNOWN - 1)
+        };
+        self.0.expected.update(Ordering::Relaxed, Ordering::Relaxed, more);
     }
 }
 
@@ -69,5 +74,28 @@ impl Default for Watch {
 impl PartialEq for Watch {
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.0, &other.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the second expected took the place of what the first did, and the total was below what was read.
+    #[test]
+    fn what_queries_expect_at_the_same_time_adds_up() {
+        let watch = Watch::new();
+        assert_eq!(watch.expected(), None);
+        watch.expect(100);
+        watch.add(30);
+        watch.expect(50);
+        assert_eq!(watch.expected(), Some(150));
+        watch.add(120);
+        // What was read by one that expects nothing counts, too.
+        watch.add(10);
+        watch.expect(5);
+        assert_eq!((watch.points(), watch.expected()), (160, Some(165)));
+        watch.expect(u64::MAX);
+        assert_eq!(watch.expected(), Some(UNKNOWN - 1));
     }
 }

@@ -12,7 +12,7 @@ use super::run::{fold, opened, refuse_another_lattice};
 use super::sources;
 use super::{IngestError, IngestOptions, bulk};
 use crate::store::model::{Scan, ScanId};
-use crate::store::{Digest, Flip, Store, StoreError, Temporary, WriterLock};
+use crate::store::{Digest, Flip, Store, StoreError, Temporary, WriterLock, has_empty_log};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -245,7 +245,7 @@ pub fn compact(
     .and_then(|()| compact(&unfinished, None, resources, progress));
     match copied {
         Ok(compacted) => {
-            std::fs::rename(&unfinished, copy).map_err(|source| IngestError::Copy { path: copy.to_owned(), source })?;
+            named(&unfinished, copy)?;
             Ok(Compacted { bytes_before, ..compacted })
         }
         Err(error) => {
@@ -258,6 +258,20 @@ pub fn compact(
             })
         }
     }
+}
+
+/// Gives a copy its name if all of it is in its file: a log beside it would be left behind, with the last of its content. Otherwise
+/// the copy is taken away.
+fn named(unfinished: &Path, copy: &Path) -> Result<(), IngestError> {
+    let named = if has_empty_log(unfinished) {
+        std::fs::rename(unfinished, copy)
+    } else {
+        Err(std::io::Error::other("its log was not written back; something else has it open, or its disk fails"))
+    };
+    named.map_err(|source| {
+        remove_copy(unfinished);
+        IngestError::Copy { path: copy.to_owned(), source }
+    })
 }
 
 /// Takes away a copy that nobody else knows of.
@@ -313,4 +327,33 @@ pub(super) fn find(scans: &[Scan], wanted: &str) -> Result<ScanId, IngestError> 
     let alike = scans.iter().find(|s| s.name.eq_ignore_ascii_case(wanted) || s.name.starts_with(wanted));
     let nearest = alike.map_or(String::new(), |s| format!(" (did you mean '{}'?)", s.name));
     Err(IngestError::NoScan { wanted: wanted.to_owned(), nearest })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lattice::Lattice;
+    use crate::store::SiteOptions;
+
+    /// The file was given its name without what was still in its log.
+    #[test]
+    fn a_copy_whose_log_is_not_written_back_is_an_error_and_not_a_store() {
+        let folder = tempfile::tempdir().unwrap();
+        let [unfinished, copy] = ["unfinished.esker", "copy.esker"].map(|name| folder.path().join(name));
+        let store = Store::create(&unfinished, SiteOptions::new(Lattice::uniform(0.01).unwrap())).unwrap();
+        let mut writer = store.writer().unwrap();
+        writer.commit(Flip::default()).unwrap();
+        let reader = rusqlite::Connection::open(&unfinished).unwrap();
+        reader.execute_batch("BEGIN").unwrap();
+        reader.query_row("SELECT count(*) FROM sqlite_schema", [], |_| Ok(())).unwrap();
+        writer.commit(Flip::default()).unwrap();
+        drop((writer, store));
+        let error = named(&unfinished, &copy).unwrap_err().to_string();
+        assert!(error.contains("copy.esker") && error.contains("its log was not written back"), "{error}");
+        assert!(!copy.exists() && !unfinished.exists());
+        drop(reader);
+        std::fs::write(&unfinished, "whole").unwrap();
+        named(&unfinished, &copy).unwrap();
+        assert!(copy.exists() && !unfinished.exists());
+    }
 }

@@ -127,7 +127,7 @@ pub enum IngestError {
     /// A store to be made is there already.
     #[error("{0} is there already; give the name of a new store")]
     OutputThere(PathBuf),
-    /// A compact copy could not be given its name.
+    /// A compact copy could not be given its name, or is not all in its file.
     #[error("{path}: naming the copy: {source}")]
     Copy {
         /// The name.

@@ -90,6 +90,11 @@ pub(super) fn wal_bytes(path: &Path) -> u64 {
     std::fs::metadata(wal(path)).map_or(0, |m| m.len())
 }
 
+/// Is all of a store in its file, and nothing in a log beside it?
+pub(crate) fn has_empty_log(path: &Path) -> bool {
+    wal_bytes(path) == 0
+}
+
 /// The rollback journal, which is there while the store is made or first filled.
 pub(super) fn journal(path: &Path) -> PathBuf {
     beside(path, "-journal")

@@ -59,7 +59,7 @@ pub use encode::{
 };
 pub use error::StoreError;
 pub use files::Temporary;
-pub(crate) use files::{check_folder, followed};
+pub(crate) use files::{check_folder, followed, has_empty_log};
 pub use flip::{Flip, NodeChange};
 #[cfg(feature = "cli")]
 pub(crate) use handle::Holders;

@@ -77,19 +77,9 @@ impl Encoder {
         Ok(passes)
     }
 
-    /// The same for values of points whose passes are known: what is steady within a pass takes next to nothing.
-    ///
-    /// # Errors
-    ///
-    /// [`CodecError::TooManyPoints`]; `out` is then as it was.
-    pub fn column_beside(&mut self, column: &Column, passes: &Passes, out: &mut Vec<u8>) -> Result<(), CodecError> {
-        put_head(CODEC, column.len(), out)?;
-        with_column!(column, values => self.put_values(column.ty(), values, Beside::Passes(passes), out));
-        Ok(())
-    }
-
-    /// The same for a column that follows others of the same points, at most two, of `u8` or `u16`: what is alike in them is
-    /// stored once. It can be decoded only with theirs ([`ColumnChunk::after`]), in the same order.
+    /// The same for values of points whose passes are known: what is steady within a pass takes next to nothing. Of a column
+    /// that follows others of the same points, at most two, of `u8` or `u16`, what is alike in them is stored once: it can be
+    /// decoded only with theirs ([`ColumnChunk::after`]), in the same order.
     ///
     /// # Errors
     ///

@@ -295,7 +295,7 @@ proptest! {
         let mut chunks = vec![Vec::new(), Vec::new(), Vec::new()];
         let found = encoder.times(&columns[0], cube, &keys, &mut chunks[0]).unwrap();
         for (column, chunk) in columns.iter().zip(&mut chunks).skip(1) {
-            encoder.column_beside(column, &found, chunk).unwrap();
+            encoder.column_after(column, &found, &[], chunk).unwrap();
         }
         let mut positions = Vec::new();
         encoder.positions_with(cube, &keys, &found, &mut positions).unwrap();
@@ -331,8 +331,8 @@ fn what_follows_from_positions_takes_little_and_asks_for_them() {
     let mut encoder = Encoder::new();
     let (mut times, mut sources, mut angles) = (Vec::new(), Vec::new(), Vec::new());
     let passes = encoder.times(&columns[0], cube, &keys, &mut times).unwrap();
-    encoder.column_beside(&columns[1], &passes, &mut sources).unwrap();
-    encoder.column_beside(&columns[2], &passes, &mut angles).unwrap();
+    encoder.column_after(&columns[1], &passes, &[], &mut sources).unwrap();
+    encoder.column_after(&columns[2], &passes, &[], &mut angles).unwrap();
     let mut alone = Vec::new();
     encoder.column(&columns[0], &mut alone).unwrap();
     assert!(3 * times.len() < alone.len(), "{} bytes, alone {}", times.len(), alone.len());
@@ -500,7 +500,7 @@ fn a_kept_block_is_not_taken_for_one_of_other_passes_or_of_another_length() {
         bytes
     });
     let mut bytes = Vec::new();
-    encoder.column_beside(&columns[1], &found, &mut bytes).unwrap();
+    encoder.column_after(&columns[1], &found, &[], &mut bytes).unwrap();
     let mut decoder = Decoder::new();
     let mut read = |positions: &[u8]| {
         let positions = PositionChunk::parse(positions, cube, large(keys.len())).unwrap();
@@ -542,7 +542,7 @@ fn fine_angles_follow_from_positions_which_a_large_cube_does_not_give() {
     morton::places(cube, keys.iter().map(|key| key ^ cube.first_key().low), &mut places);
     let angles = Column::I16(places.iter().map(|place| (place[0] / 2) as i16 - 500).collect());
     let mut bytes = Vec::new();
-    encoder.column_beside(&angles, &passes, &mut bytes).unwrap();
+    encoder.column_after(&angles, &passes, &[], &mut bytes).unwrap();
     assert!(4 * bytes.len() < keys.len(), "{} bytes for {} points", bytes.len(), keys.len());
     let chunk = ColumnChunk::parse(&bytes, ScalarType::I16, large(keys.len())).unwrap();
     let above = Cube::containing(cube.low(), 30);

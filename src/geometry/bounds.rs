@@ -44,11 +44,6 @@ impl WorldBox {
         })
     }
 
-    /// The same box seen from `eye`: both corners minus `eye`.
-    pub fn relative_to(&self, eye: DVec3) -> Self {
-        Self { min: self.min - eye, max: self.max - eye }
-    }
-
     /// The distance from `point` to the nearest point of the box; 0 inside.
     pub fn distance_to(&self, point: DVec3) -> f64 {
         (self.min - point).max(point - self.max).max(DVec3::ZERO).length()

@@ -329,15 +329,6 @@ impl Camera {
         }
     }
 
-    /// The length, in CRS units, that takes `pixels` at `distance`: the reverse of [`Camera::pixels_of_length`].
-    pub fn length_of_pixels(&self, pixels: f64, distance: f64) -> f64 {
-        let height_px = f64::from(self.size_px[1]);
-        match self.projection {
-            Projection::Perspective { fov_y_rad } => pixels * 2.0 * (fov_y_rad / 2.0).tan() * distance / height_px,
-            Projection::Orthographic { height } => pixels * height / height_px,
-        }
-    }
-
     /// What can be on the image.
     pub fn frustum(&self) -> Frustum {
         Frustum::of(self)

@@ -1,7 +1,9 @@
 //! The nodes of a picture as a tree: which of them is the finest that holds a point.
 
 use super::gpu_types::GpuNode;
-use crate::lattice::{BITS, Cube, LatticePoint};
+#[cfg(test)]
+use crate::lattice::LatticePoint;
+use crate::lattice::{BITS, Cube};
 use std::collections::HashMap;
 
 /// Cubes with their spacings, children of one cube side by side.
@@ -69,11 +71,13 @@ impl Cut {
     }
 
     /// Does a finer node lie in this cube?
+    #[cfg(test)]
     pub fn has_finer(&self, cube: Cube) -> bool {
         self.place(cube).is_some_and(|place| self.nodes[place as usize].mask != 0)
     }
 
     /// The spacing of the finest node around `point`, from `cube` down; `None` if the cube isn't there.
+    #[cfg(test)]
     pub fn spacing_at(&self, cube: Cube, point: LatticePoint) -> Option<f64> {
         let mut node = self.nodes[self.place(cube)? as usize];
         while node.mask != 0 {

@@ -101,6 +101,7 @@ impl Frame {
     }
 
     /// Do the clip boxes leave the point at these view coordinates?
+    #[cfg(test)]
     pub fn keeps(&self, view: DVec3) -> bool {
         let inside = |clip: &&ViewClip| {
             let unit = clip.unit_from_view * view + clip.offset;
@@ -111,6 +112,7 @@ impl Frame {
     }
 
     /// Reversed depth, 1 at the front and before it.
+    #[cfg(test)]
     pub fn reversed(&self, depth: f64) -> f32 {
         (self.depth_scale / (self.depth_scale + (depth - self.front))).clamp(0.0, 1.0) as f32
     }

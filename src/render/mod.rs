@@ -1,9 +1,8 @@
-//! Pictures of points without a window: wgpu passes, and a reference renderer that states what the image must be.
+//! Pictures of points without a window: wgpu passes, and, for tests, a reference renderer that states what the image must be.
 //!
 //! A [`Scene`] holds points on a lattice with their colours, grouped by how far apart they lie; where they come from is
 //! the caller's business. [`Renderer`] draws it on the graphics adapter, a software one if there is no other;
-//! [`reference::render`] draws the same image on the CPU, point by point in `f64`. The two agree up to the bound stated
-//! there.
+//! `reference.rs` draws the same image on the CPU, point by point in `f64`. The two agree up to the bound stated there.
 //!
 //! What an image is, in both:
 //!
@@ -57,7 +56,8 @@ mod passes;
 mod pick;
 mod pool;
 mod read_back;
-pub mod reference;
+#[cfg(test)]
+mod reference;
 mod renderer;
 mod scene;
 
@@ -74,7 +74,7 @@ pub use options::{Background, Edl, Fog, RenderOptions, Shape};
 pub use pick::{PickRequest, Picked};
 pub use pool::{GpuPool, PoolPoints};
 pub use renderer::{Renderer, View};
-pub use scene::{RenderNode, Scene, SelectedPoints};
+pub use scene::{RenderNode, Scene};
 
 #[cfg(test)]
 mod tests;

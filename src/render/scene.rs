@@ -1,6 +1,7 @@
 //! What is drawn: points on a lattice, grouped by spacing.
 
 use super::color::level_color;
+#[cfg(test)]
 use super::cut::Cut;
 use super::{RenderError, RenderOptions};
 use crate::lattice::{Cube, Lattice, LatticeBox, LatticePoint};
@@ -44,8 +45,9 @@ pub(super) fn node_boxes(cubes: impl Iterator<Item = Cube> + Clone) -> Vec<(Latt
 }
 
 /// The points that a selection takes from one node of the octree.
+#[cfg(test)]
 #[derive(Clone, Debug, PartialEq)]
-pub struct SelectedPoints {
+pub(super) struct SelectedPoints {
     /// The node's cube.
     pub cube: Cube,
     /// The spacing that the selection reaches in the cube, where no finer node is selected; in CRS units.
@@ -66,7 +68,8 @@ impl Scene {
     /// # Errors
     ///
     /// [`RenderError::ColorCount`] if a node's colours are not as many as its positions.
-    pub fn from_selection(lattice: Lattice, selected: Vec<SelectedPoints>) -> Result<Self, RenderError> {
+    #[cfg(test)]
+    pub(super) fn from_selection(lattice: Lattice, selected: Vec<SelectedPoints>) -> Result<Self, RenderError> {
         let cut = Cut::new(selected.iter().map(|node| (node.cube, node.spacing)));
         let boxes = node_boxes(selected.iter().map(|node| node.cube));
         let mut nodes = Vec::with_capacity(selected.len());

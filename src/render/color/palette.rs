@@ -68,17 +68,6 @@ impl Palette {
         Self { kind, colors }
     }
 
-    /// The same palette without the points of these entries: classes or scans that are not to be seen.
-    #[must_use]
-    pub fn hiding(mut self, entries: impl IntoIterator<Item = usize>) -> Self {
-        for entry in entries {
-            if let Some(color) = self.colors.get_mut(entry) {
-                color[3] = 0;
-            }
-        }
-        self
-    }
-
     /// The table.
     pub fn entries(&self) -> &[[u8; 4]] {
         &self.colors
@@ -145,7 +134,6 @@ mod tests {
         assert_eq!([0, 1, 2, 3, NO_VALUE].map(|n| numbers.color(n, 9)), [RED, GREEN, BLUE, BLUE, NOTHING]);
         let levels = Palette::levels(table);
         assert_eq!([0, 1, 7].map(|level| levels.color(5, level)), [RED, GREEN, BLUE]);
-        assert_eq!(numbers.hiding([1, 99]).color(1, 0), [0, 255, 0, 0]);
         assert_eq!(Palette::numbers(Vec::new()).color(5, 0), NOTHING);
     }
 

@@ -12,7 +12,7 @@ pub struct Metric {
 
 impl Metric {
     /// Lengths in lattice steps.
-    pub const STEPS: Self = Self { quantum: [1.0; 3], extent: [f64::INFINITY; 3] };
+    pub(super) const STEPS: Self = Self { quantum: [1.0; 3], extent: [f64::INFINITY; 3] };
 
     /// Lengths in CRS units, `quantum` units a lattice step on each axis.
     pub fn new(quantum: [f64; 3]) -> Self {
@@ -78,7 +78,8 @@ impl Metric {
     }
 
     /// The bound of one node on the edge of a closed cut.
-    pub fn frontier(&self, node: Frontier) -> f64 {
+    #[cfg(test)]
+    pub(super) fn frontier(&self, node: Frontier) -> f64 {
         match node {
             Frontier::Refinable { cell } => self.step_bound(cell, 7),
             Frontier::Begun { next } => self.before(next),
@@ -88,15 +89,17 @@ impl Metric {
 
     /// The bound of a closed cut (a node is begun only when its parent is fully taken) of `taken` points, from the nodes
     /// on its edge: infinite if nothing is taken. It never grows as the cut grows.
-    pub fn cut(&self, taken: u64, edge: impl IntoIterator<Item = Frontier>) -> f64 {
+    #[cfg(test)]
+    pub(super) fn cut(&self, taken: u64, edge: impl IntoIterator<Item = Frontier>) -> f64 {
         let bound = edge.into_iter().map(|node| self.frontier(node)).fold(0.0, f64::max);
         if taken == 0 { f64::INFINITY } else { bound }
     }
 }
 
 /// A node on the edge of a closed cut.
+#[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Frontier {
+pub(super) enum Frontier {
     /// A fully taken inner node with a child that is not begun.
     Refinable {
         /// The exponent of the cells that the node samples, `k - g`.
@@ -109,11 +112,6 @@ pub enum Frontier {
     },
     /// A fully taken node without a child that is not begun: it may be left out.
     Complete,
-}
-
-/// The bound in CRS units once `step` and all before it are complete: [`Metric::after`] for one call.
-pub fn step_bound(step: Step, quantum: [f64; 3]) -> f64 {
-    Metric::new(quantum).after(step)
 }
 
 #[cfg(test)]
@@ -194,7 +192,7 @@ mod tests {
             assert!((e(c, 0) - e(c + 1, 7)).abs() <= 1e-12 * e(c, 0), "nothing of c is everything of c + 1");
         }
         assert_eq!((e(0, 7), e(-1, 0)), (0.0, 0.0));
-        assert_eq!(step_bound(Step { win: 2, group: 2 }, [1.0, 2.0, 10.0]), (9.0_f64 + 36.0 + 4900.0).sqrt());
+        assert_eq!(Metric::new([1.0, 2.0, 10.0]).after(Step { win: 2, group: 2 }), (9.0_f64 + 36.0 + 4900.0).sqrt());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! How a node's own points are cut into parts: a function of the content alone (OCTREE section 7, DESIGN sections 4 and 5).
+//! How a node's own points are cut into parts: a function of the content alone (OCTREE section 7).
 
 use super::Step;
 

@@ -1,12 +1,10 @@
 //! Points out of a tree (OCTREE section 4).
 
-use super::nodes::{MemoryNodes, Nodes, TreePoint};
+use super::nodes::{Nodes, TreePoint};
 use super::root_of;
 use super::tree::{SPREAD, Tree, children, merged, run_inside};
 use crate::lattice::{BITS, Cube, Key};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
 
 /// Which points are to go.
 pub trait Doomed<S: Nodes>: Sync {
@@ -24,62 +22,6 @@ pub trait Doomed<S: Nodes>: Sync {
     fn subtree(&self, nodes: &S, cube: Cube) -> Result<u64, S::Error>;
     /// Is this stored point to go? Asked once for each point met.
     fn takes(&self, point: &S::Point) -> bool;
-}
-
-/// All points that pass a test go: those of a scan, say.
-#[derive(Clone, Copy, Debug)]
-pub struct Matching<F>(pub F);
-
-impl<P: TreePoint, F: Fn(&P) -> bool + Sync> Doomed<MemoryNodes<P>> for Matching<F> {
-    fn own(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
-        Ok(nodes.count(cube, &self.0).0)
-    }
-
-    fn subtree(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
-        Ok(nodes.count(cube, &self.0).1)
-    }
-
-    fn takes(&self, point: &P) -> bool {
-        self.0(point)
-    }
-}
-
-/// These points go, each request once: of several identical points no more than are asked for.
-#[derive(Debug)]
-pub struct Requests<P>(Mutex<BTreeMap<P, u64>>);
-
-impl<P: Ord> FromIterator<P> for Requests<P> {
-    fn from_iter<I: IntoIterator<Item = P>>(points: I) -> Self {
-        let mut requests = BTreeMap::new();
-        points.into_iter().for_each(|p| *requests.entry(p).or_default() += 1);
-        Self(Mutex::new(requests))
-    }
-}
-
-impl<P> Requests<P> {
-    fn left(&self) -> std::sync::MutexGuard<'_, BTreeMap<P, u64>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl<P: TreePoint> Doomed<MemoryNodes<P>> for Requests<P> {
-    fn own(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
-        Ok(nodes.count(cube, |p| self.left().contains_key(p)).0)
-    }
-
-    fn subtree(&self, nodes: &MemoryNodes<P>, cube: Cube) -> Result<u64, std::convert::Infallible> {
-        Ok(nodes.count(cube, |p| self.left().contains_key(p)).1)
-    }
-
-    fn takes(&self, point: &P) -> bool {
-        let mut requests = self.left();
-        let Some(left) = requests.get_mut(point) else { return false };
-        *left -= 1;
-        if *left == 0 {
-            requests.remove(point);
-        }
-        true
-    }
 }
 
 impl<S: Nodes> Tree<S> {

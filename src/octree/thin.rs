@@ -1,6 +1,8 @@
 //! The order of detail of a set of points: by step, and evenly within a step.
 
+#[cfg(test)]
 use super::{Metric, Step, steps, wins};
+#[cfg(test)]
 use crate::lattice::SortKey;
 
 /// The numbers below `n`, each prefix spread evenly over them: by their bits, reversed (van der Corput).
@@ -14,14 +16,16 @@ pub fn even_order(n: u32) -> impl Iterator<Item = u32> {
 
 /// A set of points in the order of detail: win descending, group ascending, evenly within a step; repeated positions
 /// last.
+#[cfg(test)]
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DetailOrder {
+pub(crate) struct DetailOrder {
     /// The points, as indices into the key order, coarse to fine.
     pub order: Vec<u32>,
     /// Each step that has points, with the number of points up to its end.
     pub steps: Vec<(Step, u32)>,
 }
 
+#[cfg(test)]
 impl DetailOrder {
     /// The step of the point after the first `taken`; `None` if there is none.
     pub fn left_out(&self, taken: usize) -> Option<Step> {
@@ -43,7 +47,8 @@ impl DetailOrder {
 /// # Panics
 ///
 /// If there are 2^32 points or more.
-pub fn canonical_order<K: SortKey>(keys: &[K], first: i8) -> DetailOrder {
+#[cfg(test)]
+pub(crate) fn canonical_order<K: SortKey>(keys: &[K], first: i8) -> DetailOrder {
     assert!(u32::try_from(keys.len()).is_ok(), "an order of detail has fewer than 2^32 points");
     let wins = wins(keys, first);
     let groups = steps(keys, &wins);

@@ -1,6 +1,6 @@
 //! A tree that changes in place: how it is built, and what insert and remove share.
 
-use super::nodes::{MemoryNodes, Nodes, Row, TreePoint};
+use super::nodes::{Nodes, Row, TreePoint};
 use super::{Params, root_of, wins};
 use crate::lattice::{Cube, Key, LatticeBox};
 use rayon::prelude::*;
@@ -17,26 +17,7 @@ pub struct Tree<S> {
     pub(super) nodes: S,
 }
 
-/// A tree in memory.
-pub type MemoryTree<P> = Tree<MemoryNodes<P>>;
-
-impl<P: TreePoint> MemoryTree<P> {
-    /// Builds the tree of `points` in memory.
-    pub fn of(points: Vec<P>, params: Params) -> Self {
-        let mut tree = Self::empty(params, MemoryNodes::default());
-        match tree.rebuild(points) {
-            Ok(()) => tree,
-            Err(never) => match never {},
-        }
-    }
-}
-
 impl<S: Nodes> Tree<S> {
-    /// A tree without points on a storage without nodes.
-    pub fn empty(params: Params, nodes: S) -> Self {
-        Self { params, root: None, nodes }
-    }
-
     /// The tree that is in `nodes`, with its root.
     pub fn existing(params: Params, root: Option<Cube>, nodes: S) -> Self {
         Self { params, root, nodes }

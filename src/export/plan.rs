@@ -1,4 +1,4 @@
-//! What an output file will be, from the scans that contribute to it (DESIGN section 7, "Output LAS").
+//! What an output file will be, from the scans that contribute to it.
 
 use super::returns::{RETURNS, WithoutReturns};
 use super::{ExportError, Meeting};

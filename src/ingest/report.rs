@@ -41,7 +41,7 @@ pub struct Report {
 pub struct ScanReport {
     /// The scan's name in the store.
     pub name: String,
-    /// The path as given.
+    /// The file's path, absolute; empty for points that were no file.
     pub source: String,
     /// Records that the source announced or held.
     pub read: u64,

@@ -1,5 +1,5 @@
-//! The points that a store has, as a source like any other: their rows go through the buckets again, or, as records,
-//! through a tree that changes.
+//! The points that a store has, as a source like any other: their rows go through the buckets again, when layers are put
+//! together and stores are merged.
 
 use super::IngestError;
 use super::partition::{Partition, RowPlan};
@@ -56,7 +56,7 @@ impl<'a> StoredPoints<'a> {
         numbered.map(|(slot, layout)| RowPlan::new(slot, layout.clone(), None)).collect()
     }
 
-    /// Points, at most: those of other scans are counted, too.
+    /// How many they are.
     pub fn points(&self) -> u64 {
         self.roots.iter().map(|root| self.wanted(&root.scans)).sum()
     }

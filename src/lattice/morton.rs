@@ -1,4 +1,4 @@
-//! Reflected Morton keys: the fixed priority of points (DESIGN section 4, OCTREE section 1).
+//! Reflected Morton keys: the fixed priority of points (OCTREE section 1).
 
 use super::{BITS, LatticePoint};
 

@@ -1,4 +1,4 @@
-//! Answers under a capacity: the first points of one fixed sequence, whatever the capacity (DESIGN, laws 4 and 5).
+//! Answers under a capacity: the first points of one fixed sequence, whatever the capacity (laws 4 and 5).
 //!
 //! The sequence is the canonical order of detail of the *matching* points: coarse cells before fine ones, within a cell's
 //! size by group of ranks, within a group evenly; repeated positions last. Every level of cells is a prefix of it, so a

@@ -1,4 +1,4 @@
-//! Which parts a camera needs: best first, from the rows alone (DESIGN section 7, OCTREE section 7).
+//! Which parts a camera needs: best first, from the rows alone (OCTREE section 7).
 //!
 //! A node is begun only when its parent is fully taken, and its parts follow in order; the next node is the one whose
 //! spacing is largest on the image. The sequence depends on the camera and the pixel threshold, never on the capacity,

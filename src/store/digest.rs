@@ -1,4 +1,4 @@
-//! What proves that two stores hold the same: two hashes over content alone (DESIGN law 3).
+//! What proves that two stores hold the same: two hashes over content alone (law 3).
 //!
 //! No row ids, parts, layers, statistics or times go in. docs/format.md has the bytes that are hashed.
 

@@ -14,7 +14,7 @@
 //!   one is replaced at once, by a coarse one that then stays in the same way.
 //! - **Superseding.** Only the newest camera counts: one selection runs at a time, and the queue of loads is made anew by
 //!   each. What was being decoded for an older one and is not wanted any more is dropped before it is uploaded.
-//! - **Threads.** One task, on tokio, decides everything (`driver.rs`); selecting and decoding run on rayon's threads
+//! - **Threads.** One task, on tokio, decides everything (`driver/`); selecting and decoding run on rayon's threads
 //!   (`store_source.rs`). The frame's thread exchanges a camera and a list with the task, through locks that are held for
 //!   as long as it takes to copy a pointer.
 

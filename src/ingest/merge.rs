@@ -228,8 +228,8 @@ fn join(context: &Context<'_>, shards: &[Shard], site: &Site, writer: &mut Write
         parts.push(part);
     }
     let plans: Vec<Vec<RowPlan>> = parts.iter().map(StoredPoints::row_plans).collect();
-    let points: u64 = parts.iter().map(StoredPoints::points).sum();
-    let payload: u64 = parts.iter().map(StoredPoints::payload_bytes).sum();
+    let points = parts.iter().map(StoredPoints::points).fold(0, u64::saturating_add);
+    let payload = parts.iter().map(StoredPoints::payload_bytes).fold(0, u64::saturating_add);
     let hint = parts.iter().filter_map(StoredPoints::bounds).reduce(|a, b| a.union(&b));
     let room = Room::new(context, site.g, hint, points, payload, payload / LEAST_SHARE)?;
     let partition = room.partition(&site.lattice);

@@ -8,7 +8,7 @@ use super::rows::RowKey;
 use crate::codec::Decoder;
 use crate::lattice::LatticeBox;
 use crate::points::{PositionKind, RecordLayout};
-use crate::store::model::{Scan, ScanId, Slot};
+use crate::store::model::{Scan, ScanCount, ScanId, Slot};
 use crate::store::{DecodedPart, Node, Snapshot, StoreError, decode_part};
 use crate::with_column;
 use rayon::prelude::*;
@@ -58,11 +58,11 @@ impl<'a> StoredPoints<'a> {
 
     /// How many they are.
     pub fn points(&self) -> u64 {
-        self.roots.iter().map(|root| self.wanted(&root.scans)).sum()
+        self.roots.iter().map(|root| self.wanted(&root.scans)).fold(0, u64::saturating_add)
     }
 
-    fn wanted(&self, counts: &[crate::store::model::ScanCount]) -> u64 {
-        counts.iter().filter(|c| self.place(c.scan).is_some()).map(|c| c.subtree).sum()
+    fn wanted(&self, counts: &[ScanCount]) -> u64 {
+        counts.iter().filter(|c| self.place(c.scan).is_some()).map(|c| c.subtree).fold(0, u64::saturating_add)
     }
 
     fn place(&self, scan: ScanId) -> Option<usize> {
@@ -72,7 +72,8 @@ impl<'a> StoredPoints<'a> {
     /// Bytes of their records.
     pub fn payload_bytes(&self) -> u64 {
         let counts = self.roots.iter().flat_map(|root| &root.scans);
-        counts.filter_map(|c| Some(c.subtree * self.layouts[self.place(c.scan)?].payload as u64)).sum()
+        let payload = |c: &ScanCount| Some(c.subtree.saturating_mul(self.layouts[self.place(c.scan)?].payload as u64));
+        counts.filter_map(payload).fold(0, u64::saturating_add)
     }
 
     /// Bounds that hold them all, not always tight.

@@ -1,27 +1,26 @@
 //! The window: `esker view STORE`.
 //!
-//! What is shown and what keys and mouse do is state without a window ([`Model`], [`Navigator`](navigate::Navigator),
-//! [`Rig`](rig::Rig)), tested as such; [`panels`] show and change it; `window/` brings events in and pictures out. The
+//! What is shown and what keys and mouse do is state without a window (`model/`, `navigate.rs`, `rig.rs`), tested as such;
+//! `panels/` show and change it; `window/` brings events in and pictures out. The
 //! [`Stream`](crate::stream::Stream) decides what lies on the adapter, [`Renderer`](crate::render::Renderer) draws it,
 //! and `work.rs` does what takes time. The frame's thread waits for none of them.
 
-pub mod bindings;
+mod bindings;
 mod found;
 mod gpu;
-pub mod measure;
+mod measure;
 mod model;
-pub mod navigate;
-pub mod panels;
+mod navigate;
+mod panels;
 pub mod remembered;
-pub mod rig;
+mod rig;
 mod script;
 mod site;
 mod window;
 mod work;
 
-pub use model::{Action, Clip, Found, FrameTimes, Model, Section, Start};
+pub use model::Start;
 pub use script::{Step, parse as parse_script};
-pub use site::{ScanFacts, Site};
 pub use window::{Options, run};
 pub use work::{Exporter, Wanted};
 

@@ -65,7 +65,7 @@ impl Remembered {
     }
 
     /// What is in the file; the defaults if there is none, or nothing that can be read.
-    pub fn load(path: &Path) -> Self {
+    pub(super) fn load(path: &Path) -> Self {
         let text = std::fs::read_to_string(path).unwrap_or_default();
         serde_json::from_str::<Self>(&text).unwrap_or_default().checked()
     }
@@ -92,7 +92,7 @@ impl Remembered {
     /// # Errors
     ///
     /// [`std::io::Error`] if it can't be written.
-    pub fn save(&self, path: &Path) -> std::io::Result<()> {
+    pub(super) fn save(&self, path: &Path) -> std::io::Result<()> {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }

@@ -84,6 +84,7 @@ impl Default for Rig {
 
 impl Rig {
     /// Where `camera` is.
+    #[cfg(test)]
     pub fn of(camera: &Camera) -> Self {
         let mut rig = Self::default();
         rig.place(camera);

@@ -156,8 +156,6 @@ pub struct Model {
     pub times: FrameTimes,
     /// The adapter's name.
     pub adapter: String,
-    /// The store's name.
-    pub store: String,
     /// Where widgets are on the window, for scripts: centre, in points.
     pub widgets: BTreeMap<String, [f32; 2]>,
     coloring: Option<(u64, ColorKey, Coloring)>,
@@ -177,7 +175,7 @@ type ColorKey = (ColorMode, Option<[u64; 2]>);
 
 impl Model {
     /// Before anything is known of the store.
-    pub fn new(store: String, set: Remembered) -> Self {
+    pub fn new(set: Remembered) -> Self {
         let open = Section::ALL.into_iter().filter(|s| set.open.iter().any(|o| o == s.word())).collect();
         let mut nav = Navigator::new(Rig::default());
         nav.rig.set_fov_y_deg(set.fov_y_deg);
@@ -205,7 +203,6 @@ impl Model {
             status: Status::default(),
             times: FrameTimes::default(),
             adapter: String::new(),
-            store,
             widgets: BTreeMap::new(),
             coloring: None,
             palettes: Vec::new(),
@@ -397,7 +394,7 @@ mod tests {
     }
 
     fn model() -> Model {
-        let mut model = Model::new("s.esker".into(), Remembered::default());
+        let mut model = Model::new(Remembered::default());
         model.set_site(site(1, &["north", "roof"]), 1.5);
         model
     }
@@ -420,7 +417,7 @@ mod tests {
         let projection = Projection::Perspective { fov_y_rad: 0.5 };
         let seen = Camera::new(eye, target, DVec3::Z, projection, [300, 200]).unwrap();
         let filter = Filter::parse("Intensity > 5").unwrap();
-        let mut model = Model::new("s.esker".into(), Remembered::default());
+        let mut model = Model::new(Remembered::default());
         let mut scans = ScanChoice::default();
         scans.set(1, true, false);
         model.begin(Start { camera: Some(seen.clone()), mode: Some(ColorMode::Height), scans, filter: Some(filter) });

@@ -222,7 +222,7 @@ mod tests {
     #[test]
     fn the_first_steps_are_one_line_however_narrow_the_window() {
         for width in [1600.0, 900.0, 500.0, 300.0] {
-            let mut model = Model::new("x.esker".into(), Remembered::default());
+            let mut model = Model::new(Remembered::default());
             let context = egui::Context::default();
             for _ in 0..10 {
                 let input = egui::RawInput {
@@ -239,7 +239,7 @@ mod tests {
     /// Every section is drawn, open and closed, without a store and without a window; a click opens one.
     #[test]
     fn the_panels_stand_without_a_store() {
-        let mut model = Model::new("x.esker".into(), Remembered::default());
+        let mut model = Model::new(Remembered::default());
         let context = egui::Context::default();
         let input = |events| egui::RawInput {
             screen_rect: Some(egui::Rect::from_min_size(egui::Pos2::ZERO, egui::vec2(1200.0, 3000.0))),

@@ -74,7 +74,7 @@ pub fn run(options: Options) -> Result<(), ViewerError> {
     let wake = waker(&proxy);
     let worker = Worker::spawn(options.store.clone(), options.exporter.clone(), wake)?;
     worker.ask(Job::Site);
-    let mut model = Model::new(options.name.clone(), set);
+    let mut model = Model::new(set);
     model.begin(options.start.clone());
     let egui = dark_context(!options.script.is_empty());
     let mut viewer = Viewer {

@@ -5,7 +5,7 @@
 //! every byte.
 //!
 //! What is stored of a value is split in two: a *symbol* (a coarse logarithm, one byte) that an entropy coder
-//! shortens ([`symbols`]), and the bits below it, which are sensor noise and are packed as they are ([`residual`]). Positions send
+//! shortens (`symbols`), and the bits below it, which are sensor noise and are packed as they are (`residual`). Positions send
 //! the differences of sorted Morton keys through it, columns what remains of a value after the transform that is
 //! estimated cheapest.
 //!

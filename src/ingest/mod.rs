@@ -5,7 +5,7 @@
 //! content. Until then the store is what it was.
 //!
 //! A store that has scans already takes new ones at the cost of what they touch: into the tree that is there, or into a
-//! layer of their own ([`layers`]). The tree is the canonical one whatever the order of scans.
+//! layer of their own (`layers.rs`). The tree is the canonical one whatever the order of scans.
 
 mod batch;
 mod bookmarks;

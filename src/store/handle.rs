@@ -250,8 +250,8 @@ impl Store {
     /// # Errors
     ///
     /// [`StoreError::AlreadyThere`], [`StoreError::NameOfAnother`], [`StoreError::NoFolder`], [`StoreError::Full`] and
-    /// [`StoreError::ReadOnly`] of the copy, [`StoreError::Sqlite`]; [`StoreError::Interrupted`] if `stop`, which is asked now
-    /// and then, says so. No copy is left then.
+    /// [`StoreError::ReadOnly`] of the copy; [`StoreError::Sqlite`], also if `stop`, which is asked now and then, says so. No
+    /// copy is left then.
     pub fn copy_to(&self, path: &Path, stop: impl Fn() -> bool + Send) -> Result<(), StoreError> {
         let Some(text) = path.to_str() else {
             let what = "the copy's path is no UTF-8".into();

@@ -432,7 +432,7 @@ fn grid_coordinate(record: &[u8], axis: usize) -> i32 {
     i32::from_le_bytes([b[0], b[1], b[2], b[3]])
 }
 
-/// Payloads, or-ed, in the words of [`payload_words`](super::rows::payload_words).
+/// Payloads, or-ed, in the words of `with_payload_words`.
 struct Ored<const WORDS: usize>([u64; WORDS]);
 
 impl<const WORDS: usize> Ored<WORDS> {

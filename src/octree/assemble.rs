@@ -13,7 +13,7 @@ mod bucket;
 mod join;
 
 pub use bucket::{BucketRest, EmittedNode, build_bucket};
-pub use join::{Assembler, Block, OwnedNode, Subtree, WholeNode, assemble};
+pub use join::{Assembler, Block, OwnedNode, Subtree};
 
 use super::Params;
 

@@ -24,7 +24,8 @@ impl<S: Nodes> Tree<S> {
     }
 
     /// The parameters of the sampling rule.
-    pub fn params(&self) -> Params {
+    #[cfg(test)]
+    pub(super) fn params(&self) -> Params {
         self.params
     }
 
@@ -36,11 +37,6 @@ impl<S: Nodes> Tree<S> {
     /// The storage.
     pub fn nodes(&self) -> &S {
         &self.nodes
-    }
-
-    /// Gives the storage back.
-    pub fn into_nodes(self) -> S {
-        self.nodes
     }
 
     /// Writes the tree of `points` into a storage without nodes.

@@ -1,8 +1,7 @@
 //! The nodes above the buckets: subtrees joined in key order.
 
-use super::{Params, Place, build_bucket};
-use crate::lattice::{Cube, Key, LOW_DIGITS};
-use crate::octree::{first_win, wins};
+use super::{Params, Place};
+use crate::lattice::Cube;
 
 /// Points of one bucket that one node above it will store, in key order, on their way up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,85 +138,86 @@ fn combine<T>(
     Subtree { cube, built: Some(rem), blocks: above }
 }
 
-/// A node of [`assemble`], given out after all of its children.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WholeNode<T> {
-    /// The cube.
-    pub cube: Cube,
-    /// Does it store everything that remains in its cube?
-    pub leaf: bool,
-    /// Bit `octant` is set where there is a child.
-    pub children: u8,
-    /// Points stored here or below.
-    pub rem: u64,
-    /// Its own points, in key order.
-    pub points: Vec<(Key, T)>,
-}
-
-/// Builds a whole tree in memory from buckets in key order, each with its points sorted by key: the reference of how
-/// ingest drives [`build_bucket`] and [`Assembler`].
-///
-/// `root` is [`super::super::root_of`] the points. Nodes come after their children.
-///
-/// # Panics
-///
-/// If the buckets overlap, are out of order or leave the root (one bucket may hold the whole root), or a bucket has 2^32
-/// points or more.
-pub fn assemble<T: Copy>(
-    root: Cube,
-    buckets: impl IntoIterator<Item = (Cube, Vec<(Key, T)>)>,
-    params: Params,
-    mut emit: impl FnMut(WholeNode<T>),
-) {
-    // Points with their wins.
-    let whole = |OwnedNode { cube, leaf, children, rem, blocks }: OwnedNode<Vec<(Key, i8, T)>>| {
-        let mut points: Vec<_> = blocks.into_iter().flat_map(|b| b.item).collect();
-        points.sort_by_key(|&(key, win, _)| (key, std::cmp::Reverse(win)));
-        let points = points.into_iter().map(|(key, _, item)| (key, item)).collect();
-        WholeNode { cube, leaf, children, rem, points }
-    };
-    let mut assembler = Assembler::new(root, params);
-    let mut previous = None;
-    for (cube, points) in buckets.into_iter().filter(|(_, points)| !points.is_empty()) {
-        let is_root = cube.contains_cube(root);
-        let (cube, place) = if is_root { (root, Place::Root) } else { (cube, Place::Below) };
-        let first = first_win(previous.replace(cube), cube, root);
-        let keys: Vec<Key> = points.iter().map(|p| p.0).collect();
-        let mut owned = |node: super::EmittedNode| {
-            let super::EmittedNode { cube, leaf, children, rem, points: own } = node;
-            let points = own.iter().map(|&i| points[i as usize]).collect();
-            emit(WholeNode { cube, leaf, children, rem, points });
-        };
-        let (wins, rest) = if cube.k() <= LOW_DIGITS {
-            let keys: Vec<u64> = keys.iter().map(|k| k.low).collect();
-            let wins = wins(&keys, first);
-            let rest = build_bucket(cube, &keys, &wins, place, params, &mut owned);
-            (wins, rest)
-        } else {
-            let wins = wins(&keys, first);
-            let rest = build_bucket(cube, &keys, &wins, place, params, &mut owned);
-            (wins, rest)
-        };
-        if !is_root {
-            let block = |(win, own): (i8, Vec<u32>)| {
-                let point = |&i: &u32| (keys[i as usize], wins[i as usize], points[i as usize].1);
-                Block { win, points: own.len() as u64, item: own.iter().map(point).collect() }
-            };
-            let blocks = rest.by_node(cube, &wins, params).map(block).collect();
-            assembler.push(Subtree { cube, built: rest.built, blocks }, &mut |node| emit(whole(node)));
-        }
-    }
-    assembler.finish(&mut |node| emit(whole(node)));
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::{EmittedNode, build_bucket};
     use super::*;
-    use crate::lattice::{LatticeBox, LatticePoint, NodeKey};
+    use crate::lattice::{Key, LOW_DIGITS, LatticeBox, LatticePoint, NodeKey};
     use crate::octree::naive::{self, NaiveNode, tests as given};
-    use crate::octree::root_of;
+    use crate::octree::{first_win, root_of, wins};
     use proptest::prelude::*;
     use std::collections::BTreeMap;
+
+    /// A node of [`assemble`], given out after all of its children.
+    #[derive(Clone, Debug, PartialEq, Eq)]
+    struct WholeNode<T> {
+        /// The cube.
+        pub cube: Cube,
+        /// Does it store everything that remains in its cube?
+        pub leaf: bool,
+        /// Bit `octant` is set where there is a child.
+        pub children: u8,
+        /// Points stored here or below.
+        pub rem: u64,
+        /// Its own points, in key order.
+        pub points: Vec<(Key, T)>,
+    }
+
+    /// Builds a whole tree in memory from buckets in key order, each with its points sorted by key: the reference of how
+    /// ingest drives [`build_bucket`] and [`Assembler`].
+    ///
+    /// `root` is [`root_of`] the points. Nodes come after their children.
+    ///
+    /// # Panics
+    ///
+    /// If the buckets overlap, are out of order or leave the root (one bucket may hold the whole root), or a bucket has 2^32
+    /// points or more.
+    fn assemble<T: Copy>(
+        root: Cube,
+        buckets: impl IntoIterator<Item = (Cube, Vec<(Key, T)>)>,
+        params: Params,
+        mut emit: impl FnMut(WholeNode<T>),
+    ) {
+        // Points with their wins.
+        let whole = |OwnedNode { cube, leaf, children, rem, blocks }: OwnedNode<Vec<(Key, i8, T)>>| {
+            let mut points: Vec<_> = blocks.into_iter().flat_map(|b| b.item).collect();
+            points.sort_by_key(|&(key, win, _)| (key, std::cmp::Reverse(win)));
+            let points = points.into_iter().map(|(key, _, item)| (key, item)).collect();
+            WholeNode { cube, leaf, children, rem, points }
+        };
+        let mut assembler = Assembler::new(root, params);
+        let mut previous = None;
+        for (cube, points) in buckets.into_iter().filter(|(_, points)| !points.is_empty()) {
+            let is_root = cube.contains_cube(root);
+            let (cube, place) = if is_root { (root, Place::Root) } else { (cube, Place::Below) };
+            let first = first_win(previous.replace(cube), cube, root);
+            let keys: Vec<Key> = points.iter().map(|p| p.0).collect();
+            let mut owned = |node: EmittedNode| {
+                let EmittedNode { cube, leaf, children, rem, points: own } = node;
+                let points = own.iter().map(|&i| points[i as usize]).collect();
+                emit(WholeNode { cube, leaf, children, rem, points });
+            };
+            let (wins, rest) = if cube.k() <= LOW_DIGITS {
+                let keys: Vec<u64> = keys.iter().map(|k| k.low).collect();
+                let wins = wins(&keys, first);
+                let rest = build_bucket(cube, &keys, &wins, place, params, &mut owned);
+                (wins, rest)
+            } else {
+                let wins = wins(&keys, first);
+                let rest = build_bucket(cube, &keys, &wins, place, params, &mut owned);
+                (wins, rest)
+            };
+            if !is_root {
+                let block = |(win, own): (i8, Vec<u32>)| {
+                    let point = |&i: &u32| (keys[i as usize], wins[i as usize], points[i as usize].1);
+                    Block { win, points: own.len() as u64, item: own.iter().map(point).collect() }
+                };
+                let blocks = rest.by_node(cube, &wins, params).map(block).collect();
+                assembler.push(Subtree { cube, built: rest.built, blocks }, &mut |node| emit(whole(node)));
+            }
+        }
+        assembler.finish(&mut |node| emit(whole(node)));
+    }
 
     type Nodes = BTreeMap<NodeKey, NaiveNode<given::Numbered>>;
 

@@ -260,8 +260,8 @@ pub fn compact(
     }
 }
 
-/// Gives a copy its name if all of it is in its file: a log beside it would be left behind, with the last of its content. Otherwise
-/// the copy is taken away.
+/// Gives a copy its name if all of it is in its file: a log beside it would be left behind, with the last of its content.
+/// Otherwise the copy is taken away.
 fn named(unfinished: &Path, copy: &Path) -> Result<(), IngestError> {
     let named = if has_empty_log(unfinished) {
         std::fs::rename(unfinished, copy)

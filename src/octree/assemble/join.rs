@@ -65,7 +65,7 @@ impl<T> Assembler<T> {
     /// # Panics
     ///
     /// Unless the cube is smaller than the root and lies after all cubes before it in key order. (A bucket that holds
-    /// the root is built by [`build_bucket`] as [`Place::Root`].)
+    /// the root is built by [`build_bucket`](super::build_bucket) as [`Place::Root`].)
     pub fn push(&mut self, subtree: Subtree<T>, emit: &mut impl FnMut(OwnedNode<T>)) {
         let cube = subtree.cube;
         assert!(cube != self.root && self.root.contains_cube(cube), "a bucket must be smaller than the root");

@@ -49,7 +49,7 @@
 //! | read files of points without a store | [`formats`] |
 //! | draw pictures (feature `render`), load for a moving camera (`stream`) | `render`, `stream` |
 //! | know what a coordinate is | [`lattice`], [`points`] |
-//! | read or write the store's file yourself | [`store`], [`codec`], [`octree`] |
+//! | know what a store is made of: generations, scans, node rows, columns | [`store`], [`codec`], [`octree`] |
 //!
 //! Without the default features there is neither a program nor a window, and nothing needs a graphics library.
 

@@ -284,7 +284,7 @@ fn remove_copy(path: &Path) {
     }
 }
 
-/// The two hashes of a store, with layers as with one: [`crate::store::digest`] of what compacting it would give.
+/// The two hashes of a store, with layers as with one: those of what compacting it would give.
 ///
 /// # Errors
 ///

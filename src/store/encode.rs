@@ -89,6 +89,7 @@ impl PointColumns {
     /// # Panics
     ///
     /// If a column is shorter than the plan.
+    #[cfg(test)]
     pub fn cut(&self, plan: &[PartPlan]) -> Vec<Self> {
         let of_part = |part: &PartPlan| {
             let column = |(slot, all): &(Slot, Column)| {

@@ -99,7 +99,7 @@ impl Store {
     }
 
     /// As [`Store::create`], with the one writer: nobody else can come first. Until the first commit the store is provisional:
-    /// if that is never made, whoever comes next may give it another site ([`Writer::begin_anew`]).
+    /// if that is never made, whoever comes next may give it another site.
     ///
     /// # Errors
     ///

@@ -46,20 +46,19 @@ mod verify;
 mod writer;
 mod zones;
 
-pub use cache::{BlockKey, CacheFigures, CachedBlock};
-pub use checksum::Checksum;
+pub use cache::CacheFigures;
+pub(crate) use cache::CachedBlock;
 pub use connection::APPLICATION_ID;
-pub use decode::{DecodedPart, decode_part, decode_part_keys, follow};
+pub(crate) use decode::{DecodedPart, decode_part, decode_part_keys, follow};
 pub(crate) use describe::scaled_ends;
 pub use describe::{AttributeCost, CrsDescription, Description, ScanDescription, WorldBounds, describe};
-pub use digest::{Digest, Digester, digest};
-pub use encode::{
-    EncodeScratch, EncodedNode, NodeInput, PACKED_BELOW_BYTES, PartColumns, PointColumns, ScanTable, block_size,
-    encode_node,
+pub use digest::Digest;
+pub(crate) use digest::{Digester, digest};
+pub(crate) use encode::{
+    EncodeScratch, EncodedNode, NodeInput, PartColumns, PointColumns, ScanTable, block_size, encode_node,
 };
 pub use error::StoreError;
-pub use files::Temporary;
-pub(crate) use files::{check_folder, followed, has_empty_log};
+pub(crate) use files::{Temporary, check_folder, followed, has_empty_log};
 pub use flip::{Flip, NodeChange};
 #[cfg(feature = "cli")]
 pub(crate) use handle::Holders;
@@ -69,8 +68,12 @@ pub use info::{Info, info};
 pub(crate) use lock::WriterLock;
 pub use nodes::{Children, Node, Nodes};
 pub use place::Limits;
-pub use rows::{ChunkRow, pack};
-pub use snapshot::{ChunkBytes, ReadCost, Snapshot, WantedBlocks};
+#[cfg(test)]
+pub(crate) use rows::ChunkRow;
+pub use snapshot::Snapshot;
+pub(crate) use snapshot::{ChunkBytes, ReadCost, WantedBlocks};
 pub use summary::{Summary, merge_subtree};
 pub use verify::{Finding, Report, verify};
-pub use writer::{ChunkIds, Committed, Leftovers, Writer};
+#[cfg(test)]
+pub(crate) use writer::Leftovers;
+pub use writer::{ChunkIds, Committed, Writer};

@@ -124,12 +124,12 @@ impl Snapshot {
 
     /// The attributes that this one is encoded after, in order; its chunks can be decoded only with theirs. In a part it
     /// follows those before the first that the part does not have.
-    pub fn leaders(&self, id: Slot) -> impl Iterator<Item = Slot> + '_ {
+    pub(crate) fn leaders(&self, id: Slot) -> impl Iterator<Item = Slot> + '_ {
         leaders::leaders(self.attributes(), id)
     }
 
     /// Are others encoded after this attribute?
-    pub fn leads(&self, id: Slot) -> bool {
+    pub(crate) fn leads(&self, id: Slot) -> bool {
         leaders::leads(self.attributes(), id)
     }
 
@@ -152,7 +152,7 @@ impl Snapshot {
     /// # Errors
     ///
     /// [`StoreError`] if nothing can be read.
-    pub fn readable_index(&self) -> Result<(Arc<NodeIndex>, Vec<StoreError>), StoreError> {
+    pub(crate) fn readable_index(&self) -> Result<(Arc<NodeIndex>, Vec<StoreError>), StoreError> {
         if let Some(index) = self.inner.index.get() {
             return Ok((index.clone(), Vec::new()));
         }
@@ -181,7 +181,7 @@ impl Snapshot {
     /// # Errors
     ///
     /// As [`Snapshot::read_part`].
-    pub fn chunk_bytes(
+    pub(crate) fn chunk_bytes(
         &self,
         head: &NodeHead,
         part: usize,
@@ -198,7 +198,7 @@ impl Snapshot {
     ///
     /// [`StoreError::Damaged`] if a row is missing, its checksum is wrong, or it belongs elsewhere; also if there is no
     /// such part.
-    pub fn read_part(
+    pub(crate) fn read_part(
         &self,
         head: &NodeHead,
         part: usize,
@@ -214,7 +214,7 @@ impl Snapshot {
     /// # Errors
     ///
     /// As [`Snapshot::read_part`]; blocks that are not wanted may be damaged.
-    pub fn read_blocks(
+    pub(crate) fn read_blocks(
         &self,
         head: &NodeHead,
         part: usize,
@@ -252,17 +252,17 @@ impl Snapshot {
     }
 
     /// A decoded block of a column that an earlier query has kept.
-    pub fn cached_block(&self, head: &NodeHead, part: usize, slot: Slot, block: usize) -> Option<CachedBlock> {
+    pub(crate) fn cached_block(&self, head: &NodeHead, part: usize, slot: Slot, block: usize) -> Option<CachedBlock> {
         self.inner.place.caches().block(block_key(head, part, slot, block))
     }
 
     /// Keeps a decoded block for later queries, if there is room.
-    pub fn keep_block(&self, head: &NodeHead, part: usize, slot: Slot, block: usize, decoded: CachedBlock) {
+    pub(crate) fn keep_block(&self, head: &NodeHead, part: usize, slot: Slot, block: usize, decoded: CachedBlock) {
         self.inner.place.caches().keep_block(block_key(head, part, slot, block), decoded);
     }
 
     /// The most bytes of decoded blocks that are kept.
-    pub fn kept_block_bytes(&self) -> u64 {
+    pub(crate) fn kept_block_bytes(&self) -> u64 {
         self.inner.place.caches().block_limit()
     }
 

@@ -162,7 +162,7 @@ impl Writer {
     }
 
     /// What a crash had left and is now removed.
-    pub fn leftovers(&self) -> Leftovers {
+    pub(crate) fn leftovers(&self) -> Leftovers {
         self.leftovers
     }
 
@@ -172,7 +172,7 @@ impl Writer {
     }
 
     /// Was the store made with its writer, and nothing committed to it? It is what a run that was cut off has left.
-    pub fn is_provisional(&self) -> bool {
+    pub(crate) fn is_provisional(&self) -> bool {
         self.site.site.generation == 0 && self.site.next_scan == 0
     }
 
@@ -180,8 +180,8 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// [`StoreError::Inconsistent`] if it is not provisional, and as [`Writer::put_chunks`].
-    pub fn begin_anew(&mut self, options: SiteOptions) -> Result<(), StoreError> {
+    /// [`StoreError::Inconsistent`] if it is not provisional, and as [`Writer::put_chunks_unless`].
+    pub(crate) fn begin_anew(&mut self, options: SiteOptions) -> Result<(), StoreError> {
         if !self.is_provisional() || self.pending_bytes.is_some() {
             let what = "the store has a site that is not to change".into();
             return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
@@ -204,7 +204,7 @@ impl Writer {
     /// # Errors
     ///
     /// [`StoreError::Inconsistent`] if there are too many.
-    pub fn add_attributes(&mut self, attributes: &[Attribute]) -> Result<Vec<Slot>, StoreError> {
+    pub(crate) fn add_attributes(&mut self, attributes: &[Attribute]) -> Result<Vec<Slot>, StoreError> {
         let mut slots = Vec::with_capacity(attributes.len());
         // A record has room for tens of thousands.
         let before = self.attributes.clone();
@@ -247,8 +247,8 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::put_chunks`].
-    pub fn expect_many(&mut self) -> Result<(), StoreError> {
+    /// As [`Writer::put_chunks_unless`].
+    pub(crate) fn expect_many(&mut self) -> Result<(), StoreError> {
         let Place::File(file) = &*self.place else { return Ok(()) };
         if self.site.site.generation == 0 && self.pending_bytes.is_none() && !self.without_log {
             file.close_idle();
@@ -257,22 +257,20 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes chunk rows, which nothing refers to before the next commit. Transactions stay open from call to call and
-    /// are closed at a bounded size.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`]; the writer can then only be dropped.
-    pub fn put_chunks<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
+    /// As [`Writer::put_chunks_unless`], whatever happens.
+    #[cfg(test)]
+    pub(crate) fn put_chunks<'a>(&mut self, chunks: impl IntoIterator<Item = &'a ChunkRow>) -> Result<(), StoreError> {
         self.put_chunks_unless(chunks, &|| false)
     }
 
-    /// As [`Writer::put_chunks`]; waits for nobody once `stop` says so.
+    /// Writes chunk rows, which nothing refers to before the next commit. Transactions stay open from call to call and
+    /// are closed at a bounded size. Waits for nobody once `stop` says so.
     ///
     /// # Errors
     ///
-    /// As [`Writer::put_chunks`], and [`StoreError::Busy`] if it was stopped while it waited.
-    pub fn put_chunks_unless<'a>(
+    /// [`StoreError::Full`], [`StoreError::ReadOnly`], [`StoreError::Sqlite`], and [`StoreError::Busy`] if it was stopped while it
+    /// waited; the writer can then only be dropped.
+    pub(crate) fn put_chunks_unless<'a>(
         &mut self,
         chunks: impl IntoIterator<Item = &'a ChunkRow>,
         stop: &dyn Fn() -> bool,
@@ -343,7 +341,7 @@ impl Writer {
     /// # Errors
     ///
     /// As [`Writer::commit`], and [`StoreError::Busy`] if it was stopped while it waited.
-    pub fn commit_unless(&mut self, change: Flip, stop: &dyn Fn() -> bool) -> Result<Committed, StoreError> {
+    pub(crate) fn commit_unless(&mut self, change: Flip, stop: &dyn Fn() -> bool) -> Result<Committed, StoreError> {
         if self.failed {
             let what = "a write failed before".into();
             return Err(StoreError::Inconsistent { path: self.place.path().into(), what });
@@ -460,7 +458,7 @@ impl Writer {
     }
 
     /// Ends writing and removes the files of the store, while nobody else can be writing to it or making another in its place.
-    pub fn remove_store(mut self) {
+    pub(crate) fn remove_store(mut self) {
         self.roll_back();
         self.connection = None;
         if let Place::File(file) = &*self.place {

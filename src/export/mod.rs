@@ -13,7 +13,8 @@ mod split;
 pub use error::ExportError;
 pub use meeting::Meeting;
 pub(crate) use order::Order;
-pub use plan::{Planned, plan};
+pub(crate) use plan::plan;
+use plan::{Planned, is_las};
 
 use crate::formats::{CreateOptions, OutputFormat, PointWriter, create, create_standard_output};
 use crate::points::{Attribute, Batch, Column, ScalarType};
@@ -162,6 +163,14 @@ pub fn export(
         (Some(format), _) => format,
         (None, Target::File(path)) => format_of(path)?,
         (None, Target::StandardOutput) => OutputFormat::Csv,
+    };
+    // The records of LAS have room for what the scans have that are in the file. Other forms have the same columns everywhere.
+    let tight;
+    let query = if is_las(format) {
+        tight = query.clone().tight();
+        &tight
+    } else {
+        query
     };
     match (options.split, target) {
         (Some(by), Target::File(path)) => split::split(snapshot, query, path, format, by, options, &mut progress),

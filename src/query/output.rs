@@ -1,5 +1,6 @@
 //! What an answer's batches will look like, before the first of them: for those who write files.
 
+use super::filter::Known;
 use super::plan::Plan;
 use super::region::LatticeRegion;
 use super::{Query, QueryError};
@@ -7,7 +8,7 @@ use crate::geometry::Containment;
 use crate::lattice::LatticeBox;
 use crate::points::Attribute;
 use crate::store::Snapshot;
-use crate::store::model::{Scan, ScanId};
+use crate::store::model::{FIRST_ATTRIBUTE, Range, Scan, ScanId, Slot};
 use std::sync::Arc;
 
 /// The form of an answer.
@@ -15,8 +16,8 @@ use std::sync::Arc;
 pub struct OutputForm {
     /// The attributes of every batch, in this order.
     pub attributes: Arc<[Attribute]>,
-    /// The scans that can contribute, ascending: those asked for whose bounds meet the region, or all that were asked for
-    /// if there is none.
+    /// The scans that can contribute, ascending: those asked for whose bounds meet the region and whose values may pass the filter,
+    /// or all that were asked for if there is none.
     pub scans: Vec<ScanId>,
     /// Where all points of the answer are: as close around the region as can be told from the bounds of these scans; `None` if
     /// there are none.
@@ -31,7 +32,7 @@ impl Query {
     /// As [`Query::run`].
     pub fn output_form(&self, snapshot: &Snapshot) -> Result<OutputForm, QueryError> {
         let plan = Plan::new(self, snapshot)?;
-        let scans = contributing(snapshot, plan.scans.as_deref(), &plan.region);
+        let scans = passing(&plan, contributing(snapshot, plan.scans.as_deref(), &plan.region))?;
         let stored = snapshot.scans().iter().filter(|s| scans.binary_search(&s.id).is_ok()).filter_map(|s| s.bounds);
         let bounds = stored.reduce(|a, b| a.union(&b)).map(|all| close_around(all, &plan.region));
         Ok(OutputForm { attributes: plan.attributes.clone(), scans, bounds })
@@ -44,6 +45,23 @@ pub(super) fn contributing(snapshot: &Snapshot, asked: Option<&[ScanId]>, region
     let meets = |s: &&Scan| s.bounds.is_some_and(|b| region.classify(&b) != Containment::Outside);
     let scans: Vec<ScanId> = asked().filter(meets).map(|s| s.id).collect();
     if scans.is_empty() { asked().map(|s| s.id).collect() } else { scans }
+}
+
+/// Those of some scans of which a point may pass the plan's filter, by the ranges of all of the store; all if there is none.
+pub(super) fn passing(plan: &Plan, scans: Vec<ScanId>) -> Result<Vec<ScanId>, QueryError> {
+    let Some(filter) = &plan.filter else { return Ok(scans) };
+    let zones = plan.roots.iter().map(|root| plan.nodes.zones(root)).collect::<Result<Vec<_>, _>>()?;
+    let may_pass = |&id: &ScanId| {
+        let Some(scan) = plan.snapshot.scan(id) else { return true };
+        let Some(bounds) = &scan.bounds else { return true };
+        zones.iter().any(|zones| {
+            let has = |(slot, _): &&(Slot, Range)| *slot < FIRST_ATTRIBUTE || scan.attributes.contains(slot);
+            let ranges: Vec<(Slot, Range)> = zones.subtree.iter().filter(has).copied().collect();
+            filter.may_match(&Known { ranges: &ranges, scans: &[id], bounds })
+        })
+    };
+    let those: Vec<ScanId> = scans.iter().copied().filter(may_pass).collect();
+    Ok(if those.is_empty() { scans } else { those })
 }
 
 /// A box that holds all of `region` that is in `all`: each side is brought in as far as what it leaves is certainly outside.

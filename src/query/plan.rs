@@ -6,7 +6,7 @@ use super::extent::metric;
 use super::filter::{BoundFilter, Known, Names, attributes_named};
 use super::kinds::Kinds;
 use super::mask::Mask;
-use super::output::contributing;
+use super::output::{contributing, passing};
 use super::region::LatticeRegion;
 use super::watch::Watch;
 use super::{Attributes, Filter, Query, QueryError, Region, error::nearest};
@@ -89,10 +89,8 @@ impl Plan {
         let filter = query.filter.as_ref().map(bind).transpose()?;
         let slots = filter.as_ref().map_or_else(Vec::new, BoundFilter::slots);
         let filter_columns = slots.into_iter().filter_map(|s| Some((s, snapshot.attribute(s)?.attribute.ty))).collect();
-        let columns = columns(&query.attributes, scans.as_deref(), snapshot)?;
-        let attributes = columns.iter().map(|c| c.attribute.clone()).collect();
         let nodes = snapshot.nodes();
-        Ok(Self {
+        let mut plan = Self {
             snapshot: snapshot.clone(),
             roots: nodes.roots()?,
             nodes,
@@ -103,8 +101,8 @@ impl Plan {
             filter,
             filter_columns,
             scans,
-            columns,
-            attributes,
+            columns: Vec::new(),
+            attributes: Arc::default(),
             with_scans: query.with_scans,
             threads: query.threads,
             cancel: query.cancel.clone().unwrap_or_default(),
@@ -112,7 +110,14 @@ impl Plan {
             keeps_blocks: false,
             meter: Meter::default(),
             start,
-        })
+        };
+        let of = match query.tight {
+            true => Some(passing(&plan, contributing(snapshot, plan.scans.as_deref(), &plan.region))?),
+            false => plan.scans.clone(),
+        };
+        plan.columns = columns(&query.attributes, of.as_deref(), snapshot)?;
+        plan.attributes = plan.columns.iter().map(|c| c.attribute.clone()).collect();
+        Ok(plan)
     }
 
     /// Lengths in CRS units.

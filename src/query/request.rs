@@ -58,6 +58,8 @@ pub struct Query {
     pub(super) cancel: Option<Cancel>,
     pub(super) watch: Option<Watch>,
     pub(super) policy: Policy,
+    /// Are all attributes those of the scans that can contribute?
+    pub(super) tight: bool,
 }
 
 /// More threads than any pool has.
@@ -132,6 +134,13 @@ impl Query {
     #[must_use]
     pub fn attributes<S: Into<String>>(mut self, names: impl IntoIterator<Item = S>) -> Self {
         self.attributes = Attributes::Named(names.into_iter().map(Into::into).collect());
+        self
+    }
+
+    /// Without the attributes that only scans have which can't contribute a point.
+    #[must_use]
+    pub(crate) fn tight(mut self) -> Self {
+        self.tight = true;
         self
     }
 

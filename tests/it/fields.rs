@@ -121,3 +121,37 @@ fn headers_with_units_and_short_words_name_coordinates() {
     let report = json(&["ingest", &at("deg.esker"), &at("deg.csv")]);
     assert_eq!(report["scans"][0]["positions"], "exact", "{report}");
 }
+
+/// A scan without a point in the file changed its form and brought its columns along.
+#[test]
+fn a_las_file_has_room_for_what_its_points_have() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (store, las) = (at("s.esker"), at("out.las"));
+    esker_ok(&["generate", "terrain", "--points", "2000", "-o", &at("a.las")]);
+    esker_ok(&["ingest", &store, &at("a.las")]);
+    let head = |options: &[&str]| {
+        let output = esker(&[&["query", &store, "-o", &las, "--force"], options].concat());
+        assert!(output.status.success(), "{output:?}");
+        let header = RawLas::read(Path::new(&las)).unwrap().header;
+        let told = String::from_utf8(output.stderr).unwrap();
+        (header.point_data_record_format, header.point_data_record_length, told)
+    };
+    let alone = head(&[]);
+    assert_eq!(alone.2, "");
+    fs::write(at("b.csv"), "x,y,z,quality,depth\n689990,5330000,500,0.5,7\n689991,5330001,500,0.25,8\n").unwrap();
+    esker_ok(&["ingest", &store, &at("b.csv")]);
+    assert!(head(&[]).2.contains("quality"), "the points of both need room");
+    // These have no class, or lie elsewhere, or are of another scan.
+    for options in [&["--where", "Classification >= 0"][..], &["--where", "GpsTime > 0 and Z < 1e6"], &["--scan", "a"]]
+    {
+        assert_eq!(head(options), alone, "{options:?}");
+    }
+    // Whoever may have a point in the file has room: here only they do.
+    let (_, length, _) = head(&["--where", "quality > 0.3 or Classification > 200"]);
+    assert!(length > 30 && RawLas::read(Path::new(&las)).unwrap().records.len() == 1, "{length}");
+    // Other forms have the same columns everywhere.
+    let rows =
+        esker_ok(&["query", &store, "--where", "Classification >= 0", "--capacity", "1", "-o", "-", "--format", "csv"]);
+    assert!(rows.lines().next().unwrap().contains("quality"), "{rows}");
+}

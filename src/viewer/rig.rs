@@ -454,6 +454,20 @@ mod tests {
         }
 
         #[test]
+        fn a_flight_ends_with_the_picture_of_the_camera(from in camera(), to in camera()) {
+            let mut rig = Rig::of(&from);
+            rig.fly_to(&to);
+            while rig.fly_on(0.1) {}
+            prop_assert_eq!(rig.is_orthographic(), matches!(to.projection(), Projection::Orthographic { .. }));
+            let back = rig.camera(SIZE).unwrap();
+            let px = |c: &Camera, p: DVec3| c.pixel_from_relative(p - c.eye()).map(|p| [p[0], p[1]]);
+            let point = to.target() + DVec3::new(0.5, 0.2, 0.1);
+            if let (Some(a), Some(b)) = (px(&to, point), px(&back, point)) {
+                prop_assert!(near(a, b, 1e-3), "{:?} {:?}", a, b);
+            }
+        }
+
+        #[test]
         fn the_pivot_of_a_turn_stays_where_it_is(camera in camera(), drag in prop::array::uniform2(-80.0_f64..80.0), depth in 0.3_f64..2.0) {
             let mut rig = Rig::of(&camera);
             let pivot = rig.eye() + rig.forward() * rig.distance() * depth + DVec3::new(0.3, -0.2, 0.1);

@@ -155,3 +155,24 @@ fn a_las_file_has_room_for_what_its_points_have() {
         esker_ok(&["query", &store, "--where", "Classification >= 0", "--capacity", "1", "-o", "-", "--format", "csv"]);
     assert!(rows.lines().next().unwrap().contains("quality"), "{rows}");
 }
+
+#[test]
+fn values_of_a_byte_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = at("s.esker");
+    let rows: String = (0..1000).map(|i| format!("{i},{},0,{},{}\n", i % 7, [2, 2, 5, 255][i % 4], i % 256)).collect();
+    fs::write(at("a.csv"), format!("x,y,z,Classification,Red\n{rows}")).unwrap();
+    fs::write(at("b.csv"), "x,y,z\n1,2,3\n").unwrap();
+    esker_ok(&["ingest", &store, &at("a.csv"), &at("b.csv")]);
+    let counted = |options: &[&str]| {
+        let all = json(&[&["query", &store], options].concat());
+        let found = all["attributes"].as_array().unwrap().iter().find(|a| a["name"] == "Classification").unwrap();
+        let pair = |c: &serde_json::Value| (c["value"].as_u64().unwrap(), c["points"].as_u64().unwrap());
+        found["counts"].as_array().unwrap().iter().map(pair).collect::<Vec<_>>()
+    };
+    assert_eq!(counted(&[]), [(2, 500), (5, 250), (255, 250)], "a point without a class is none of class 0");
+    assert_eq!(counted(&["--where", "x < 4", "--threads", "1"]), [(2, 2), (5, 1), (255, 1)]);
+    assert_eq!(counted(&["--where", "Classification = 7"]), []);
+    assert!(esker_ok(&["query", &store]).contains("Classification                   2: 500  5: 250  255: 250\n"));
+}

@@ -161,7 +161,9 @@ fn values_of_a_byte_are_counted() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let store = at("s.esker");
-    let rows: String = (0..1000).map(|i| format!("{i},{},0,{},{}\n", i % 7, [2, 2, 5, 255][i % 4], i % 256)).collect();
+    // More than one node has.
+    let rows: String =
+        (0..80_000).map(|i| format!("{i},{},0,{},{}\n", i % 7, [2, 2, 5, 255][i % 4], i % 256)).collect();
     fs::write(at("a.csv"), format!("x,y,z,Classification,Red\n{rows}")).unwrap();
     fs::write(at("b.csv"), "x,y,z\n1,2,3\n").unwrap();
     esker_ok(&["ingest", &store, &at("a.csv"), &at("b.csv")]);
@@ -171,8 +173,10 @@ fn values_of_a_byte_are_counted() {
         let pair = |c: &serde_json::Value| (c["value"].as_u64().unwrap(), c["points"].as_u64().unwrap());
         found["counts"].as_array().unwrap().iter().map(pair).collect::<Vec<_>>()
     };
-    assert_eq!(counted(&[]), [(2, 500), (5, 250), (255, 250)], "a point without a class is none of class 0");
+    assert_eq!(counted(&[]), [(2, 40_000), (5, 20_000), (255, 20_000)], "a point without a class is none of class 0");
     assert_eq!(counted(&["--where", "x < 4", "--threads", "1"]), [(2, 2), (5, 1), (255, 1)]);
     assert_eq!(counted(&["--where", "Classification = 7"]), []);
-    assert!(esker_ok(&["query", &store]).contains("Classification                   2: 500  5: 250  255: 250\n"));
+    assert!(
+        esker_ok(&["query", &store]).contains("Classification                   2: 40,000  5: 20,000  255: 20,000\n")
+    );
 }

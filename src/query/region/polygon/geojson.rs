@@ -29,7 +29,9 @@ pub(super) fn parse(text: &str) -> Result<(Vec<Rings>, Option<u32>), String> {
             feature.foreign_members
         }
         GeoJson::FeatureCollection(collection) => {
-            collection.features.iter().try_for_each(|feature| of_feature(feature, &mut polygons))?;
+            for (number, feature) in (1..).zip(&collection.features) {
+                of_feature(feature, &mut polygons).map_err(|words| format!("feature {number} {words}"))?;
+            }
             collection.foreign_members
         }
     };
@@ -123,5 +125,10 @@ mod tests {
         );
         assert!(wrong(r#"{"type":"LineString","coordinates":[[0,0],[1,1]]}"#).contains("LineString"));
         assert!(wrong(r#"{"type":"Polygon","coordinates":[[[0]]]}"#).contains("position"));
+        let feature = |geometry: &str| format!(r#"{{"type":"Feature","properties":null,"geometry":{geometry}}}"#);
+        let plot = feature(r#"{"type":"Polygon","coordinates":[[[0,0],[1,0],[1,1],[0,0]]]}"#);
+        let place = feature(r#"{"type":"Point","coordinates":[1,2]}"#);
+        let told = wrong(&format!(r#"{{"type":"FeatureCollection","features":[{plot},{place}]}}"#));
+        assert!(told.starts_with("feature 2 holds a Point, which has no area"), "{told}");
     }
 }

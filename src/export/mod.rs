@@ -255,7 +255,7 @@ fn begin(
     let create_options = CreateOptions {
         force: options.force,
         standard_gps_time: planned.standard_gps_time,
-        las_ends: planned.las_ends.clone(),
+        las_values: planned.las_values.clone(),
         ..CreateOptions::default()
     };
     let writer = match target {

@@ -3,12 +3,12 @@
 use super::returns::{RETURNS, WithoutReturns};
 use super::{ExportError, Meeting};
 use crate::formats::las::crs_of;
-use crate::formats::{LasTarget, OutputFormat, OutputPlan, las_field};
+use crate::formats::{LasTarget, LasValues, OutputFormat, OutputPlan, las_field};
 use crate::geometry::Pose;
 use crate::lattice::{BIAS, Decimal, Lattice, LatticeBox, LatticePoint};
 use crate::points::{LasFacts, RawVlr};
 use crate::query::OutputForm;
-use crate::store::model::{Scan, Site, StoredAttribute};
+use crate::store::model::{Scan, Site, Slot, StoredAttribute};
 use crate::store::{Snapshot, scaled_ends};
 use std::collections::{BTreeMap, HashSet};
 
@@ -22,8 +22,8 @@ pub struct Planned {
     pub without_returns: WithoutReturns,
     /// Are all GPS times adjusted standard ones?
     pub standard_gps_time: bool,
-    /// The least and the greatest value in the store of what is called as a field of LAS but has another type.
-    pub las_ends: BTreeMap<String, [f64; 2]>,
+    /// What is known of values in the store that are called as a field of LAS and may not be what it holds.
+    pub las_values: BTreeMap<String, LasValues>,
     /// What a user should know.
     pub notes: Vec<String>,
 }
@@ -114,20 +114,30 @@ pub fn plan<'s>(
         meeting,
         without_returns,
         standard_gps_time: standard > 0 && standard == timed.len(),
-        las_ends: if is_las(format) { las_ends(snapshot) } else { BTreeMap::new() },
+        las_values: if is_las(format) { las_values(snapshot) } else { BTreeMap::new() },
         notes,
     })
 }
 
 /// Of all of the store, not of the answer, so that all files of a site are alike.
-fn las_ends(snapshot: &Snapshot) -> BTreeMap<String, [f64; 2]> {
-    let mut all: BTreeMap<String, [f64; 2]> = BTreeMap::new();
+fn las_values(snapshot: &Snapshot) -> BTreeMap<String, LasValues> {
+    let mut all: BTreeMap<String, LasValues> = BTreeMap::new();
     for StoredAttribute { id, attribute } in snapshot.attributes() {
-        if las_field(&attribute.name).is_some_and(|ty| ty != attribute.ty)
+        let name = &attribute.name;
+        if let Some(field) = las_field(name)
+            && (field.ty != attribute.ty || field.most.is_some())
             && let Some([low, high]) = scaled_ends(snapshot, *id)
         {
-            let ends = all.entry(attribute.name.clone()).or_insert([low, high]);
-            *ends = [ends[0].min(low), ends[1].max(high)];
+            let of_name = |slot: &&Slot| snapshot.attribute(**slot).is_some_and(|a| a.attribute.name == *name);
+            let has = snapshot.scans().iter().map(|s| s.attributes.iter().filter(of_name).count());
+            let (least, most) = has.fold((usize::MAX, 0), |(least, most), n| (least.min(n), most.max(n)));
+            let is_alone = snapshot.attributes().iter().filter(|a| a.attribute.name == *name).count() == 1;
+            let known = all.entry(name.clone()).or_insert(LasValues {
+                ends: [low, high],
+                is_one: least == 1 && is_alone,
+                is_at_most_one: most < 2,
+            });
+            known.ends = [known.ends[0].min(low), known.ends[1].max(high)];
         }
     }
     all

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::SystemTime;
 
 /// So many are open at once, and those that are being read. Systems allow 256 and more.
-const MOST: usize = 100;
+const MOST: usize = 48;
 
 /// The handles that are open, the longest first.
 static OPEN: Mutex<VecDeque<Weak<Slot>>> = Mutex::new(VecDeque::new());

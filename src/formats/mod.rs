@@ -29,7 +29,7 @@ pub use read::{Piece, PointSource, SourceInfo, Tally};
 pub(crate) use table::TableSource;
 pub use table::{PointTable, TableError};
 pub use write::{
-    CreateOptions, CreationDate, LasTarget, OutputFile, OutputFormat, OutputPlan, Packed, Packer, PointWriter, Raster,
-    RasterFormat, check_output, create, create_standard_output, is_database, las_field, remove_unfinished,
-    write_raster,
+    CreateOptions, CreationDate, LasField, LasTarget, LasValues, OutputFile, OutputFormat, OutputPlan, Packed, Packer,
+    PointWriter, Raster, RasterFormat, check_output, create, create_standard_output, is_database, las_field,
+    remove_unfinished, write_raster,
 };

@@ -11,7 +11,7 @@ mod raster;
 mod rows;
 
 pub use destination::{OutputFile, check_output, is_database, remove_unfinished};
-pub use las::{CreationDate, las_field};
+pub use las::{CreationDate, LasField, LasValues, las_field};
 pub use raster::{Raster, RasterFormat, write_raster};
 
 use super::FormatError;
@@ -96,9 +96,9 @@ pub struct CreateOptions {
     /// Are the GPS times of a merged LAS file adjusted standard ones, not seconds of a week? For
     /// [`LasTarget::AsSource`] the source says.
     pub standard_gps_time: bool,
-    /// By its name, the least and the greatest value of an attribute that is called as a field of LAS but has another type
-    /// ([`las_field`]): where these fit, a merged LAS file's own field has the values, too.
-    pub las_ends: BTreeMap<String, [f64; 2]>,
+    /// By its name, what is known of the values of an attribute that is called as a field of LAS but has another type, or
+    /// values that may not fit ([`las_field`]): where they fit, a merged LAS file's own field has them, too.
+    pub las_values: BTreeMap<String, LasValues>,
     /// The date in a LAS header; today, if `None`. For files that must be the same whenever they are made.
     pub creation_date: Option<CreationDate>,
 }
@@ -109,7 +109,7 @@ impl CreateOptions {
             compressed: format == OutputFormat::Laz,
             date: self.creation_date.unwrap_or_else(CreationDate::today),
             standard_time: self.standard_gps_time,
-            ends: &self.las_ends,
+            values: &self.las_values,
             points: self.points,
         }
     }

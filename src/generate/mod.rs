@@ -234,7 +234,7 @@ impl Output<'_> {
             force: self.options.force,
             points: Some(points),
             standard_gps_time: true,
-            las_ends: std::collections::BTreeMap::new(),
+            las_values: std::collections::BTreeMap::new(),
             // The day of the first pulse: files of a seed are the same whenever they are made.
             creation_date: Some(CreationDate { day_of_year: 75, year: 2021 }),
         };

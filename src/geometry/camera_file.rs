@@ -70,10 +70,17 @@ impl TryFrom<CameraFile> for Camera {
     }
 }
 
+/// As few digits as give the angle back.
+fn degrees(rad: f64) -> f64 {
+    let exact = rad.to_degrees();
+    let rounded = (exact * 1e9).round() / 1e9;
+    if (rounded.to_radians() - rad).abs() <= 1e-15 { rounded } else { exact }
+}
+
 impl From<Camera> for CameraFile {
     fn from(camera: Camera) -> Self {
         let (projection, fov_y_deg, height) = match camera.projection() {
-            Projection::Perspective { fov_y_rad } => (Kind::Perspective, Some(fov_y_rad.to_degrees()), None),
+            Projection::Perspective { fov_y_rad } => (Kind::Perspective, Some(degrees(fov_y_rad)), None),
             Projection::Orthographic { height } => (Kind::Orthographic, None, Some(height)),
         };
         Self {

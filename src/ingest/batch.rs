@@ -255,7 +255,9 @@ fn refuse_if_nothing_is_there(sources: &[Source], tallies: &[ScanTally]) -> Resu
     let refused = |(source, tally): (&Source, &ScanTally)| {
         let missing = tally.rejected.truncated;
         let path = source.reader.info().path.clone();
-        (missing > 0 && tally.read == 0).then_some(IngestError::Nothing { path, missing })
+        // Beside others in its file it is one that has no points.
+        let is_alone = !source.is_of_several();
+        (is_alone && missing > 0 && tally.read == 0).then_some(IngestError::Nothing { path, missing })
     };
     refuse(sources.iter().zip(tallies).map(refused))
 }

@@ -1,5 +1,6 @@
 //! Changes of a store that is there: scans out, replaced, hidden, shown; layers and free space put together.
 
+use super::agree::{Said, agree_on_crs};
 use super::batch::{Batch, add};
 use super::budget::peak_memory;
 use super::change::{Ground, ScanOrder};
@@ -151,7 +152,8 @@ pub fn replace(
             return Err(IngestError::NameTaken(taken.name.clone()));
         }
         let mut report = Report { skipped: opened.skipped, ..Report::default() };
-        let (crs, notes) = sources::agree_on_crs(site_crs, &sources, options.ignore_crs)?;
+        let said: Vec<Said> = sources.iter().map(sources::Source::said).collect();
+        let (crs, notes) = agree_on_crs(site_crs, &said, options.ignore_crs)?;
         report.notes.extend(notes);
         let measured = measure::<Result<Vec<_>, _>>(context, &sources, &mut stages)?;
         let (sources, measured) = (&sources[..], &measured[..]);

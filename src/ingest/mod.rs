@@ -7,6 +7,7 @@
 //! A store that has scans already takes new ones at the cost of what they touch: into the tree that is there, or into a
 //! layer of their own (`layers.rs`). The tree is the canonical one whatever the order of scans.
 
+mod agree;
 mod batch;
 mod bookmarks;
 mod budget;

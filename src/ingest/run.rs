@@ -1,5 +1,6 @@
 //! One ingest from beginning to end.
 
+use super::agree::{Said, agree_on_crs};
 use super::batch::{Batch, add};
 use super::budget::peak_memory;
 use super::context::Context;
@@ -118,7 +119,8 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     let mut report = Report { skipped: opened.skipped.clone(), ..Report::default() };
     if !options.keep_going {
         // Before hours of measuring.
-        sources::agree_on_crs(site_crs.clone(), &opened.sources, options.ignore_crs)?;
+        let said: Vec<Said> = opened.sources.iter().map(Source::said).collect();
+        agree_on_crs(site_crs.clone(), &said, options.ignore_crs)?;
     }
     let mut rest = Rest::measured(context, opened, options.keep_going, &mut stages)?;
     if rest.sources.is_empty() {
@@ -144,12 +146,13 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     }
 
     let noted = report.notes.len();
+    let (crs_before, mut stored_now) = (site_crs.clone(), Vec::new());
     let mut is_settled = false;
-    while !rest.sources.is_empty() {
+    loop {
         // Nothing is committed: the inputs that are left decide on lattice and CRS, and no other.
-        if !is_settled {
+        if !is_settled && !rest.sources.is_empty() {
+            rest.agree(site_crs.as_ref(), options)?;
             report.notes.truncate(noted);
-            report.notes.extend(crs_notes(site_crs.clone(), !stored.is_empty(), &rest.sources, options.ignore_crs)?);
             if created {
                 match new_store(context, options, &rest, open.take(), &mut report.notes)? {
                     Some(made) => open = Some(made),
@@ -162,9 +165,10 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
             }
             is_settled = true;
         }
-        let Some((store, writer)) = &mut open else { break };
+        let (Some((store, writer)), false) = (&mut open, rest.sources.is_empty()) else { break };
         let range = 0..first_batch(&rest.sources, context.memory);
-        let (crs, _) = sources::agree_on_crs(site_crs.clone(), &rest.sources[range.clone()], options.ignore_crs)?;
+        let said: Vec<Said> = rest.sources[range.clone()].iter().map(Source::said).collect();
+        let (crs, _) = agree_on_crs(site_crs.clone(), &said, options.ignore_crs)?;
         let batch = Batch {
             sources: &rest.sources[range.clone()],
             measured: &rest.measured[range.clone()],
@@ -177,6 +181,7 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
         let failure = match add(context, store, writer, &batch, &mut stages, &mut report) {
             Ok(()) => {
                 site_crs = crs;
+                stored_now.extend(said);
                 rest.drop_first(range.len());
                 fold(context, store, writer, &mut report)?;
                 continue;
@@ -185,6 +190,10 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
             Err(Stopped::Unreadable(of_batch)) if options.keep_going => {
                 rest.leave_out(of_batch);
                 is_settled = !report.scans.is_empty();
+                if rest.sources.is_empty() && report.scans.is_empty() {
+                    // What they said of the CRS does not count.
+                    rest.sources_again();
+                }
                 let any = !report.scans.is_empty() || !created && !report.skipped.is_empty();
                 if any || !rest.sources.is_empty() {
                     continue;
@@ -200,6 +209,11 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
         }
         return Err(failure);
     }
+    report.notes.extend(crs_notes(crs_before, !stored.is_empty(), &stored_now, options.ignore_crs)?);
+    rest.give_up_others();
+    if report.scans.is_empty() && report.skipped.is_empty() && !rest.unreadable.is_empty() {
+        return Err(rest.unreadable.swap_remove(0).1);
+    }
     report.unreadable = left_out(&rest.unreadable);
     report.seconds = started.elapsed().as_secs_f64();
     report.points_per_second = if report.seconds > 0.0 { report.points as f64 / report.seconds } else { 0.0 };
@@ -208,18 +222,19 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
     Ok(report)
 }
 
-/// What to tell of the CRS of `sources` beside the site's. `holds_scans`: the site has some already.
-fn crs_notes(
-    site: Option<Crs>,
-    holds_scans: bool,
-    sources: &[Source],
-    ignore: bool,
-) -> Result<Vec<String>, IngestError> {
-    let had_none = site.as_ref().is_none_or(Crs::is_empty);
-    let (crs, mut notes) = sources::agree_on_crs(site, sources, ignore)?;
-    if let (true, true, Some(crs)) = (had_none, holds_scans, &crs) {
+/// What to tell of the CRS of inputs beside the site's. `holds_scans`: the site has some already.
+fn crs_notes(site: Option<Crs>, holds_scans: bool, said: &[Said], ignore: bool) -> Result<Vec<String>, IngestError> {
+    let before = site.clone().filter(|crs| !crs.is_empty());
+    let (crs, mut notes) = agree_on_crs(site, said, ignore)?;
+    let Some(crs) = crs.filter(|_| holds_scans) else { return Ok(notes) };
+    let had = match &before {
+        None => Some("the site had no CRS"),
+        Some(before) if before.vertical_epsg != crs.vertical_epsg => Some("the site's heights had no system"),
+        Some(_) => None,
+    };
+    if let Some(had) = had {
         notes.push(format!(
-            "the site had no CRS; it is {} now, which is taken for that of the scans that it has, too",
+            "{had}; it is {} now, which is taken for that of the scans that it has, too",
             crs.describe()
         ));
     }
@@ -287,6 +302,8 @@ struct Rest {
     measured: Vec<Option<WorldBounds>>,
     /// What was left out.
     unreadable: Vec<(PathBuf, IngestError)>,
+    /// In another CRS than those before them, which may yet be left out.
+    others: Vec<(Source, Option<WorldBounds>, IngestError)>,
 }
 
 impl Rest {
@@ -300,9 +317,9 @@ impl Rest {
         let sources::Sources { sources, unreadable, .. } = opened;
         if !keep_going {
             let measured = measure::<Result<_, _>>(context, &sources, stages)?;
-            return Ok(Self { sources, measured, unreadable });
+            return Ok(Self { sources, measured, unreadable, others: Vec::new() });
         }
-        let mut rest = Self { sources: Vec::new(), measured: Vec::new(), unreadable };
+        let mut rest = Self { sources: Vec::new(), measured: Vec::new(), unreadable, others: Vec::new() };
         let all: Vec<_> = measure(context, &sources, stages);
         for (source, bounds) in sources.into_iter().zip(all) {
             match bounds {
@@ -317,6 +334,48 @@ impl Rest {
             }
         }
         Ok(rest)
+    }
+
+    /// Sets aside what is in another CRS than the site, or than what comes before it; without `keep_going` it is an error.
+    fn agree(&mut self, site: Option<&Crs>, options: &IngestOptions) -> Result<(), IngestError> {
+        loop {
+            let said: Vec<Said> = self.sources.iter().map(Source::said).collect();
+            let (path, error) = match agree_on_crs(site.cloned(), &said, options.ignore_crs) {
+                Ok(_) => return Ok(()),
+                Err(IngestError::OtherCrs { path, expected, found }) if options.keep_going => {
+                    (path.clone(), move || IngestError::OtherCrs {
+                        path: path.clone(),
+                        expected: expected.clone(),
+                        found: found.clone(),
+                    })
+                }
+                Err(error) => return Err(error),
+            };
+            let all = std::mem::take(&mut self.sources).into_iter().zip(std::mem::take(&mut self.measured));
+            for (source, measured) in all {
+                if source.reader.info().path == path {
+                    self.others.push((source, measured, error()));
+                } else {
+                    self.sources.push(source);
+                    self.measured.push(measured);
+                }
+            }
+        }
+    }
+
+    /// Takes up what was set aside.
+    fn sources_again(&mut self) {
+        for (source, measured, _) in std::mem::take(&mut self.others) {
+            self.sources.push(source);
+            self.measured.push(measured);
+        }
+    }
+
+    /// Leaves out what was set aside.
+    fn give_up_others(&mut self) {
+        let others = std::mem::take(&mut self.others);
+        self.unreadable.extend(others.into_iter().map(|(source, _, error)| (source.reader.info().path.clone(), error)));
+        self.unreadable.dedup_by(|a, b| a.0 == b.0);
     }
 
     fn drop_first(&mut self, sources: usize) {

@@ -1,5 +1,6 @@
 //! The inputs of one command: opened, recognised, named, and compared with what the store has.
 
+use super::agree::Said;
 use super::identity::{content_hash, scan_identity};
 use super::naming::{natural_names, unique_name};
 use super::progress::Progress;
@@ -43,14 +44,17 @@ impl Source {
         self.reader.info().pose.to_matrix()
     }
 
-    /// The stored scan that is this source with another pose, or read without the options of this run.
-    fn with_another_pose<'s>(&self, content: &[u8; 32], stored: &'s [Scan]) -> Option<&'s Scan> {
+    /// The identity of the stored scan that is this source with another pose, or read without the options of this run. `poses`: those
+    /// of stored scans of its size.
+    fn with_another_pose(
+        &self,
+        content: &[u8; 32],
+        poses: &[[f64; 16]],
+        stored: &HashMap<[u8; 32], String>,
+    ) -> Option<[u8; 32]> {
         let info = self.reader.info();
-        let same = |s: &&Scan| {
-            let of = |options: &str| scan_identity(content, info.index, &s.pose, options);
-            s.source_bytes == self.bytes && (s.identity == of(&info.options) || s.identity == of(""))
-        };
-        stored.iter().find(same)
+        let of = |pose| [&*info.options, ""].map(|options| scan_identity(content, info.index, pose, options));
+        poses.iter().flat_map(of).find(|identity| stored.contains_key(identity))
     }
 
     /// What it is called in a store, and what where that is taken.
@@ -62,6 +66,12 @@ impl Source {
     /// Are there more scans in its file?
     pub fn is_of_several(&self) -> bool {
         self.number.is_some()
+    }
+
+    /// What it says of its coordinates.
+    pub fn said(&self) -> Said {
+        let info = self.reader.info();
+        Said { path: info.path.clone(), label: self.label(), crs: self.crs.clone(), bounds: info.bounds_hint }
     }
 
     /// The file, and which of its scans.
@@ -221,6 +231,15 @@ fn compare(
     });
     let mut by_identity: HashMap<[u8; 32], String> =
         stored.iter().map(|s| (s.identity, format!("already in the store as '{}'", s.name))).collect();
+    // Scans of one file stand in few places.
+    let mut poses: HashMap<u64, Vec<[f64; 16]>> = HashMap::new();
+    for scan in stored {
+        let of_size = poses.entry(scan.source_bytes).or_default();
+        if !of_size.contains(&scan.pose) {
+            of_size.push(scan.pose);
+        }
+    }
+    let by_stored = by_identity.clone();
     let mut taken: HashSet<String> = stored.iter().map(|s| s.name.clone()).collect();
     let mut sources = Vec::new();
     let single = opened.len() == 1;
@@ -248,7 +267,9 @@ fn compare(
                 skipped.push(Skipped { path: source.label(), reason: format!("{reason}{lost}{kept}"), rejected });
                 continue;
             }
-            if let Some(scan) = source.with_another_pose(&content, stored) {
+            let poses = poses.get(&source.bytes).map(Vec::as_slice).unwrap_or_default();
+            let other = source.with_another_pose(&content, poses, &by_stored);
+            if let Some(scan) = other.and_then(|identity| stored.iter().find(|s| s.identity == identity)) {
                 let error = IngestError::OtherPose { scan: source.label(), name: scan.name.clone() };
                 if !options.keep_going {
                     return Err(error);
@@ -361,7 +382,8 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
     });
     let lost = || IngestError::Changed { path: path.clone(), name: old.name.clone() };
     let mut source = number.filter(|&n| n < sources.len()).map(|n| sources.swap_remove(n)).ok_or_else(lost)?;
-    if given.is_none() && source.pose() != old.pose {
+    let own = source.pose();
+    if given.is_none() && own != old.pose {
         // It was given one: as before, to the bit, or it would be another scan.
         let (kept, index) = (Pose::from_matrix(&old.pose).map_err(|_| lost())?, source.reader.info().index);
         let again = opened(&Inputs::At(kept, &path))?.sources;
@@ -373,7 +395,9 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
     source.name = options.name.clone().unwrap_or_else(|| old.name.clone());
     source.content = Some(content);
     if !is_same {
-        source.warnings.push(format!("{} has changed: what it holds now is read", path.display()));
+        let stays = "it stands where it stood, wherever the file has it now (name the file to take that)";
+        let stays = if source.pose() == own { String::new() } else { format!("; {stays}") };
+        source.warnings.push(format!("{} has changed: what it holds now is read{stays}", path.display()));
     }
     Ok(source)
 }
@@ -385,83 +409,6 @@ fn poses(files: &[PathBuf], options: &IngestOptions) -> Result<Vec<Pose>, Ingest
         n if n == files.len() => Ok(options.poses.clone()),
         poses => Err(IngestError::Poses { poses, files: files.len() }),
     }
-}
-
-/// Compares the CRS of all sources with the site's; returns the site's CRS afterwards and what to tell.
-pub(super) fn agree_on_crs(
-    site: Option<Crs>,
-    sources: &[Source],
-    ignore: bool,
-) -> Result<(Option<Crs>, Vec<String>), IngestError> {
-    let mut notes = Vec::new();
-    let mut site = site.filter(|c| !c.is_empty());
-    let is_new = site.is_none();
-    let mut of: Option<PathBuf> = None;
-    for source in sources {
-        let Some(crs) = &source.crs else { continue };
-        let path = &source.reader.info().path;
-        match &site {
-            None => {
-                site = Some(crs.clone());
-                of = Some(path.clone());
-            }
-            Some(expected) => match expected.same_as(crs) {
-                // What says in which system heights are, too, says more, whichever comes first.
-                Some(true) if is_new && expected.vertical_epsg.is_none() && crs.vertical_epsg.is_some() => {
-                    site = Some(crs.clone());
-                    of = Some(path.clone());
-                }
-                Some(true) => {}
-                Some(false) if ignore => notes.push(format!(
-                    "{}: its CRS is {}, the site's is {}; its coordinates are taken as they are (--ignore-crs)",
-                    path.display(),
-                    crs.describe_beside(expected),
-                    expected.describe_beside(crs)
-                )),
-                Some(false) => {
-                    return Err(IngestError::OtherCrs {
-                        path: path.clone(),
-                        expected: expected.describe_beside(crs),
-                        found: crs.describe_beside(expected),
-                    });
-                }
-                None => notes.push(format!(
-                    "{}: can't tell whether its CRS ({}) is the site's ({}); its coordinates are taken as they are",
-                    path.display(),
-                    crs.describe(),
-                    expected.describe()
-                )),
-            },
-        }
-    }
-    let far = |source: &&Source| {
-        let is_geographic = source.crs.as_ref().or(site.as_ref()).is_some_and(Crs::is_geographic);
-        let bounds = source.reader.info().bounds_hint.filter(|_| is_geographic);
-        bounds.is_some_and(|(min, max)| (0..2).any(|axis| min[axis].abs().max(max[axis].abs()) > 360.0))
-    };
-    for source in sources.iter().filter(far) {
-        let (min, max) = source.reader.info().bounds_hint.unwrap_or_default();
-        let crs = source.crs.as_ref().or(site.as_ref()).map(Crs::describe).unwrap_or_default();
-        notes.push(format!(
-            "{}: its CRS ({crs}) is in degrees, but its coordinates lie between {},{} and {},{}; --crs says what they are",
-            source.reader.info().path.display(),
-            min[0],
-            min[1],
-            max[0],
-            max[1]
-        ));
-    }
-    let without: Vec<String> = sources.iter().filter(|s| s.crs.is_none()).map(Source::label).collect();
-    if let (Some(crs), Some(first)) = (&site, without.first()) {
-        let from = of.map(|p| format!(" of {}", p.display())).unwrap_or_default();
-        let which = match without.len() {
-            1 => format!("{first} names no CRS and takes"),
-            2 => format!("{first} and {} name no CRS and take", without[1]),
-            n => format!("{first} and {} other inputs name no CRS and take", n - 1),
-        };
-        notes.push(format!("{which} the site's, {}{from}", crs.describe()));
-    }
-    Ok((site, notes))
 }
 
 #[cfg(test)]

@@ -193,12 +193,12 @@ const CANONICAL: &[&str] = &[
     "NormalZ",
 ];
 
-/// Case, underscores and blanks do not count when names are looked up.
+/// Case and underscores do not count when names are looked up.
 fn fold(name: &str) -> String {
-    name.chars().filter(|c| !matches!(c, '_' | ' ')).flat_map(char::to_lowercase).collect()
+    name.chars().filter(|c| *c != '_').flat_map(char::to_lowercase).collect()
 }
 
-/// Do two names mean the same to a user: equal but for case, underscores and blanks?
+/// Do two names mean the same to a user: equal but for case and underscores?
 pub fn same_name(a: &str, b: &str) -> bool {
     fold(a) == fold(b)
 }
@@ -244,7 +244,6 @@ mod tests {
         assert_eq!(canonical_name("NIR"), Some("Infrared"));
         assert_eq!(canonical_name("return_number"), Some("ReturnNumber"));
         assert_eq!(canonical_name("treeID"), None);
-        assert_eq!(canonical_name("Number Of Returns"), Some("NumberOfReturns"));
         assert!(same_name("tree_id", "TreeID"));
         assert!(!same_name("tree", "TreeID"));
     }

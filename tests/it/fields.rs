@@ -180,3 +180,71 @@ fn values_of_a_byte_are_counted() {
         esker_ok(&["query", &store]).contains("Classification                   2: 40,000  5: 20,000  255: 20,000\n")
     );
 }
+
+fn las_of(folder: &Path, file: &str, text: &str, read: impl Fn(&[u8]) -> u16) -> (Vec<u16>, String) {
+    let at = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    fs::write(at(file), text).unwrap();
+    let (store, las) = (at(&format!("{file}.esker")), at(&format!("{file}.las")));
+    esker_ok(&["ingest", &store, &at(file)]);
+    let output = esker(&["query", &store, "-o", &las]);
+    assert!(output.status.success(), "{output:?}");
+    let mut values: Vec<_> = RawLas::read(Path::new(&las)).unwrap().records.iter().map(|r| read(r)).collect();
+    values.sort_unstable();
+    (values, String::from_utf8(output.stderr).unwrap())
+}
+
+/// The field had the sum of both.
+#[test]
+fn two_columns_of_one_scan_are_not_added_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let word = |i: usize| move |r: &[u8]| u16::from_le_bytes([r[i], r[i + 1]]);
+    let head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\n";
+    let intensities = format!(
+        "{head}property ushort intensity\nproperty float scalar_Intensity\nend_header\n0 0 0 1000 1000\n1 0 0 40000 40000\n"
+    );
+    assert_eq!(las_of(folder.path(), "i.ply", &intensities, word(12)).0, [1000, 40_000]);
+    let class = |r: &[u8]| u16::from(r[16]);
+    let classes =
+        format!("{head}property uchar class\nproperty float scalar_Classification\nend_header\n0 0 0 2 2\n1 0 0 6 6\n");
+    assert_eq!(las_of(folder.path(), "c.ply", &classes, class).0, [2, 6]);
+    let both = "x,y,z,Class,Classification\n1,2,3,2,2.5\n4,5,6,6,6.5\n";
+    assert_eq!(las_of(folder.path(), "c.csv", both, class).0, [3, 7], "the one that is called so, to the nearest");
+    // Points of another scan that have none have 0, whatever range the others' values have.
+    let pts = "3\n1 2 3 -2000\n1 2 4 0\n1 2 5 2000\n";
+    let (all, _) = las_of(folder.path(), "a.pts", pts, word(12));
+    assert_eq!(all, [0, 32_768, 65_535]);
+    let store = folder.path().join("a.pts.esker").to_str().unwrap().to_owned();
+    let more = folder.path().join("b.xyz").to_str().unwrap().to_owned();
+    fs::write(&more, "7 8 9\n").unwrap();
+    esker_ok(&["ingest", &store, &more]);
+    let las = folder.path().join("both.las").to_str().unwrap().to_owned();
+    let output = esker(&["query", &store, "-o", &las]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("can't hold"), "{output:?}");
+    let records = RawLas::read(Path::new(&las)).unwrap().records;
+    assert!(records.iter().all(|r| word(12)(r) == 0));
+    // More returns than the field counts are no reason to write nothing.
+    let many = "x,y,z,NumReturns,ReturnNumber\n1,2,3,31,1\n1,2,4,3,2\n";
+    let (returns, told) = las_of(folder.path(), "n.csv", many, |r| u16::from(r[14] >> 4));
+    assert!(returns == [0, 0] && told.contains("NumberOfReturns"), "{told}");
+}
+
+/// `class` became the class, and the class something else.
+#[test]
+fn an_exact_name_goes_before_a_synonym_in_any_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    for (i, (columns, row)) in
+        [("class,Classification", "7,2"), ("Classification,class", "2,7")].into_iter().enumerate()
+    {
+        let (file, store) = (at(&format!("{i}.csv")), at(&format!("{i}.esker")));
+        fs::write(&file, format!("x,y,z,{columns}\n1,2,3,{row}\n")).unwrap();
+        esker_ok(&["ingest", &store, &file]);
+        let found = names(&store);
+        assert!(found.contains(&"Classification".into()) && found.contains(&"class".into()), "{found:?}");
+        assert_eq!(esker_ok(&["query", &store, "--where", "Classification = 2 and \"class\" = 7", "--count"]), "1\n");
+    }
+    // Columns of metres are none of degrees, whatever they are called.
+    fs::write(at("m.csv"), "lon,lat,z\n689990.5,5330000.25,500\n689991,5330001,501\n").unwrap();
+    let report = json(&["ingest", &at("m.esker"), &at("m.csv")]);
+    assert!(!report["notes"].to_string().contains("degrees"), "{report}");
+}

@@ -190,10 +190,32 @@ fn heights_in_two_systems_are_refused_in_any_order() {
     }
     for order in [[&plain, &one], [&one, &plain]] {
         let s = place.path("s.esker");
-        esker_ok(&["ingest", &s, order[0], order[1]]);
-        assert_eq!(json(&["info", &s])["crs"]["vertical_epsg"], 5783);
-        fs::remove_file(&s).unwrap();
+        // Together, in commits of their own, and by two commands.
+        for memory in ["1GiB", "1MiB", "apart"] {
+            if memory == "apart" {
+                esker_ok(&["ingest", &s, order[0]]);
+                esker_ok(&["ingest", &s, order[1]]);
+            } else {
+                esker_ok(&["ingest", &s, order[0], order[1], "--memory", memory]);
+            }
+            assert_eq!(json(&["info", &s])["crs"]["vertical_epsg"], 5783, "{memory}");
+            esker_fails(&["ingest", &s, &other], 1, &["its CRS is"]);
+            fs::remove_file(&s).unwrap();
+        }
     }
+    // Where the others go on it is left out, and what it said is forgotten if nothing of it can be read.
+    let s = place.path("s.esker");
+    let output = esker(&["ingest", &s, &one, &other, "--keep-going"]);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(3) && said.contains("left out: ") && said.contains("ccc.las"), "{said}");
+    fs::remove_file(&s).unwrap();
+    let bytes = fs::read(&other).unwrap();
+    let cut = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize + 7;
+    fs::write(&other, &bytes[..cut]).unwrap();
+    let output = esker(&["ingest", &s, &other, &one, "--keep-going"]);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    assert_eq!(json(&["info", &s])["crs"]["vertical_epsg"], 5783);
+    assert_eq!(names(&s), ["bb"]);
 }
 
 #[test]

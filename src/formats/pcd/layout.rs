@@ -1,7 +1,7 @@
 //! From the fields of a point to the layout of a record.
 
 use super::header::PcdField;
-use crate::formats::names::{attribute_name, unique};
+use crate::formats::names::{Namer, unique};
 use crate::formats::ply::{Element, Kind, Property, Target};
 use crate::formats::text::Cell;
 use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout, ScalarType};
@@ -23,6 +23,7 @@ struct Builder {
     end: usize,
     taken: HashSet<(String, ScalarType)>,
     fields: Vec<(Attribute, Field)>,
+    namer: Namer,
     properties: Vec<Property>,
     targets: Vec<Target>,
     cells: Vec<Cell>,
@@ -38,7 +39,7 @@ impl Builder {
     /// Room for an attribute: its byte in the record.
     fn attribute(&mut self, name: &str, ty: ScalarType) -> usize {
         let start = PositionKind::World.size();
-        let canonical = unique(attribute_name(name, ty), name, ty, &mut self.taken);
+        let canonical = unique(self.namer.name(name, ty), name, ty, &mut self.taken);
         let at = self.end;
         self.end += ty.size();
         let field = Field { offset: at - start, kind: FieldKind::Whole };
@@ -56,6 +57,7 @@ impl Fields {
             end: PositionKind::World.size(),
             taken: HashSet::new(),
             fields: Vec::new(),
+            namer: Namer::of(fields.iter().map(|f| f.name.as_str())),
             properties: Vec::new(),
             targets: Vec::new(),
             cells: Vec::new(),

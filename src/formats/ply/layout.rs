@@ -1,7 +1,7 @@
 //! From the properties of a vertex to the layout of a record.
 
 use super::header::{Element, Kind};
-use crate::formats::names::{attribute_name, unique};
+use crate::formats::names::{Namer, unique};
 use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout};
 use std::collections::HashSet;
 
@@ -27,6 +27,7 @@ pub fn record_layout(vertex: &Element) -> Option<(RecordLayout, Vec<Target>)> {
     let start = PositionKind::World.size();
     let mut end = start;
     let mut taken = HashSet::new();
+    let namer = Namer::of(vertex.properties.iter().map(|p| p.name.as_str()));
     let mut fields = Vec::new();
     let mut targets = Vec::with_capacity(vertex.properties.len());
     for (i, property) in vertex.properties.iter().enumerate() {
@@ -38,7 +39,7 @@ pub fn record_layout(vertex: &Element) -> Option<(RecordLayout, Vec<Target>)> {
             targets.push(Target::Axis(axis));
             continue;
         }
-        let name = unique(attribute_name(&property.name, ty), &property.name, ty, &mut taken);
+        let name = unique(namer.name(&property.name, ty), &property.name, ty, &mut taken);
         fields.push((Attribute::new(name, ty), Field { offset: end - start, kind: FieldKind::Whole }));
         targets.push(Target::Record(end));
         end += ty.size();

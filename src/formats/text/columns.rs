@@ -2,9 +2,8 @@
 
 use super::number::MOST_EXACT;
 use super::survey::Column;
-use crate::formats::names::attribute_name;
+use crate::formats::names::{Namer, attribute_name, dimension};
 use crate::points::ScalarType::{self, F32, F64, I16, I32, I64, U8, U16, U64};
-use crate::points::canonical_name;
 
 /// What a column is.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -200,9 +199,15 @@ impl Kinds {
     }
 
     /// The name and the type of the attribute that the file calls `name`, in column `i`; `None` if that holds text, or nothing.
-    pub fn attribute(&self, name: &str, i: usize, column: &Column, format: &str) -> Option<(String, ScalarType)> {
+    pub fn attribute(
+        &self,
+        (name, namer): (&str, &Namer),
+        i: usize,
+        column: &Column,
+        format: &str,
+    ) -> Option<(String, ScalarType)> {
         let kind = self.0.get(i).filter(|_| is_kept(column))?;
-        let (canonical, ty) = attribute(name, kind);
+        let (canonical, ty) = attribute(name, namer, kind);
         let ty = match format {
             // A scanner's intensity is a fraction, or a number around zero, as a rule of its format, not of its digits.
             "ptx" if canonical == "Intensity" => F32,
@@ -224,20 +229,20 @@ fn is_kept(column: &Column) -> bool {
 }
 
 fn is_color(name: &str) -> bool {
-    matches!(canonical_name(name), Some("Red" | "Green" | "Blue"))
+    matches!(dimension(name), Some("Red" | "Green" | "Blue"))
 }
 
 fn is_normal(name: &str) -> bool {
     matches!(&*attribute_name(name, F32), "NormalX" | "NormalY" | "NormalZ")
 }
 
-fn attribute(name: &str, column: &Column) -> (String, ScalarType) {
+fn attribute(name: &str, namer: &Namer, column: &Column) -> (String, ScalarType) {
     let ty = customary(name, column).unwrap_or_else(|| general(column));
     if is_color(name) && !matches!(ty, U8 | U16) {
         // Fractions are no LAS colour.
         return (name.to_ascii_lowercase(), ty);
     }
-    (attribute_name(name, ty), ty)
+    (namer.name(name, ty), ty)
 }
 
 /// The type that a LAS dimension has, if it has one and the values fit.
@@ -249,7 +254,7 @@ fn customary(name: &str, column: &Column) -> Option<ScalarType> {
     if is_normal(name) {
         return Some(float(column));
     }
-    let types: &[ScalarType] = match canonical_name(name)? {
+    let types: &[ScalarType] = match dimension(name)? {
         "GpsTime" => return Some(F64),
         "Red" | "Green" | "Blue" | "Infrared" => &[U8, U16],
         "Intensity" => &[U16, I16],

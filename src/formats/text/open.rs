@@ -96,11 +96,15 @@ pub fn open_rows(file: SourceFile, columns: Option<&[String]>) -> Sources {
         )
     });
     let commas = (comma && separator != Separator::Byte(b';')).then(|| "commas are taken as decimal points".to_owned());
+    // Whatever a column of metres is called.
+    let is_small =
+        |axis: usize| survey.columns.get(place.axes[axis]).is_some_and(|c| c.min >= -360.0 && c.max <= 360.0);
+    let degrees = is_small(0) && is_small(1) && columns.or(header.as_deref()).is_some_and(are_degrees);
     let kinds = Kinds::of(&roles, [survey.columns.as_slice()]);
     let rows = Rows { file, format: "text", place, survey, announced };
     let mut source = TextSource::new(rows, &roles, &kinds, false);
     source.info.options = options;
-    source.info.degrees = columns.or(header.as_deref()).is_some_and(are_degrees);
+    source.info.degrees = degrees;
     source.info.warnings.extend([guessed, lacking, commas].into_iter().flatten());
     Ok(vec![Box::new(source)])
 }

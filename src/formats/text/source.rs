@@ -4,7 +4,7 @@ use super::columns::{Kinds, Role, is_rounded};
 use super::survey::{Column, Place, Survey};
 use super::table::{Cell, Coordinates, Table};
 use crate::formats::file::SourceFile;
-use crate::formats::names::unique;
+use crate::formats::names::{Namer, unique};
 use crate::formats::{FormatError, Piece, PointSource, SourceInfo, Tally};
 use crate::lattice::{Decimal, SourceGrid};
 use crate::points::{Attribute, Field, FieldKind, PositionKind, RecordLayout, counted};
@@ -46,12 +46,17 @@ impl TextSource {
         let start = position.size();
         let mut end = start;
         let mut taken = HashSet::new();
+        let named = roles.iter().filter_map(|role| match role {
+            Role::Attribute(name) => Some(name.as_str()),
+            _ => None,
+        });
+        let namer = Namer::of(named);
         let mut fields = Vec::new();
         let mut cells = Vec::new();
         for (i, role) in roles.iter().enumerate() {
             let cell = match (role, survey.columns.get(i)) {
                 (Role::Axis(axis), _) => Cell::Axis(*axis),
-                (Role::Attribute(name), Some(column)) => match kinds.attribute(name, i, column, format) {
+                (Role::Attribute(name), Some(column)) => match kinds.attribute((name, &namer), i, column, format) {
                     Some((canonical, ty)) => {
                         let canonical = unique(canonical, name, ty, &mut taken);
                         let at = end;

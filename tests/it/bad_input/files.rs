@@ -376,3 +376,13 @@ fn a_file_that_is_cut_before_its_first_record_is_an_error() {
     assert_eq!(esker(&["ingest", &store, &cut, &good, "--keep-going"]).status.code(), Some(3));
     assert_eq!(esker_ok(&["query", &store, "--count"]), "500\n");
 }
+
+/// Of blocks that are whole all points are kept, wherever the file ends.
+#[test]
+fn a_file_that_is_cut_between_its_blocks_keeps_those_before() {
+    let place = Place::new();
+    let cut = place.write("q.pts", b"2\n1 2 3 5\n2 3 4 6\n3\n");
+    let store = place.path("q.esker");
+    esker_ok(&["ingest", &store, &cut]);
+    assert_eq!(esker_ok(&["query", &store, "--count"]), "2\n");
+}

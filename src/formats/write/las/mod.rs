@@ -12,7 +12,7 @@ use super::rows::{self, Slot};
 use super::{Form, LasTarget, OutputPlan, Packed, Packer, PointWriter};
 use crate::formats::FormatError;
 use crate::formats::las::tables::PointFormat;
-use crate::points::{Attribute, Batch, Column, ScalarType};
+use crate::points::{Attribute, Batch, Column, FieldKind, ScalarType};
 use encoder::Encoder;
 pub use header::CreationDate;
 use header::{Header, Totals};
@@ -38,17 +38,38 @@ pub(super) struct LasOptions<'a> {
     pub standard_time: bool,
     /// The points that will come, if known.
     pub points: Option<u64>,
-    /// The least and the greatest value of columns of LAS's names that are of another type than LAS has.
-    pub ends: &'a Ends,
+    /// By the names of LAS's fields.
+    pub values: &'a BTreeMap<String, LasValues>,
 }
 
-/// By name.
-type Ends = BTreeMap<String, [f64; 2]>;
+/// What is known of the values of all attributes of one name, which is that of a field of LAS.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LasValues {
+    /// The least and the greatest of them, but of those that have the field's type and always fit.
+    pub ends: [f64; 2],
+    /// Has every point one, and just one? Where another scan has another of them, or none, that is 0 here.
+    pub is_one: bool,
+    /// Has no point two of them? Then they may be added up.
+    pub is_at_most_one: bool,
+}
 
-/// The type of the field of this name in the records of LAS 1.4's newer point formats.
-pub fn las_field(name: &str) -> Option<ScalarType> {
-    let format = PointFormat::new(8)?;
-    format.dimensions().into_iter().find(|d| d.name == name).map(|d| d.ty)
+/// A field in the records of LAS 1.4's newer point formats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LasField {
+    /// The type of its values.
+    pub ty: ScalarType,
+    /// The greatest value, where it has fewer bits than its type.
+    pub most: Option<u8>,
+}
+
+/// The field of this name.
+pub fn las_field(name: &str) -> Option<LasField> {
+    let dimension = PointFormat::new(8)?.dimensions().into_iter().find(|d| d.name == name)?;
+    let most = match dimension.kind {
+        FieldKind::Bits { mask, .. } => Some(mask),
+        FieldKind::Whole => None,
+    };
+    Some(LasField { ty: dimension.ty, most })
 }
 
 /// Records of a LAS file, and what its header says of them.
@@ -96,11 +117,11 @@ impl LasWriter {
         output: &OutputPlan,
         options: LasOptions<'_>,
     ) -> Result<Self, FormatError> {
-        let LasOptions { compressed, date, standard_time, points, ends } = options;
+        let LasOptions { compressed, date, standard_time, points, values } = options;
         let plan = match &output.las {
             LasTarget::AsSource(facts) => plan::as_source(output, facts, compressed, date),
             LasTarget::Merged { scale, offset } => {
-                plan::merged(output, *scale, *offset, compressed, date, standard_time, ends)
+                plan::merged(output, *scale, *offset, compressed, date, standard_time, values)
             }
         };
         let plan::Plan { mut header, slots, notes } = plan.map_err(|reason| destination.unwritable(reason))?;

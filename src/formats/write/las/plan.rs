@@ -1,6 +1,6 @@
 //! What a LAS file will look like: its header, and where every attribute goes.
 
-use super::Ends;
+use super::LasValues;
 use super::crs;
 use super::extra::{self, ExtraField};
 use super::header::{
@@ -13,6 +13,7 @@ use crate::formats::las::tables::{Dimension, PointFormat, XYZ_BYTES};
 use crate::formats::write::OutputPlan;
 use crate::formats::write::rows::{Put, Slot, Target};
 use crate::points::{Attribute, Crs, FieldKind, LasFacts, RawVlr, ScalarType};
+use std::collections::BTreeMap;
 
 /// A plan, or why there is none.
 pub(super) type Planned = Result<Plan, String>;
@@ -124,7 +125,7 @@ pub(super) fn merged(
     compressed: bool,
     date: CreationDate,
     standard_time: bool,
-    ends: &Ends,
+    values: &BTreeMap<String, LasValues>,
 ) -> Planned {
     let mut notes = Vec::new();
     let has =
@@ -141,7 +142,8 @@ pub(super) fn merged(
     let mut extras: Vec<(usize, ExtraField)> = Vec::new();
     let mut names = extra::Names::default();
     for (column, attribute) in plan.attributes.iter().enumerate() {
-        if let Some((dimension, put)) = place(&dimensions, attribute) {
+        let known = values.get(&attribute.name);
+        if let Some((dimension, put)) = place(&dimensions, attribute).filter(|(_, put)| fits(*put, known)) {
             match put {
                 Put::Degrees => notes.push(
                     "ScanAngleRank in whole degrees became ScanAngleRank in steps of 0.006 degrees, rounded".into(),
@@ -157,9 +159,7 @@ pub(super) fn merged(
             }
             if let Some(dimension) = dimensions.iter().find(|d| d.name == attribute.name) {
                 let (name, ty) = (&attribute.name, attribute.ty.word());
-                let one = plan.attributes.iter().filter(|a| a.name == *name).count() == 1;
-                let ends = ends.get(name).copied();
-                match ends.and_then(|ends| converted(dimension, attribute, ends, one)) {
+                match known.and_then(|known| converted(dimension, attribute, known)) {
                     Some((put, how)) => {
                         notes.push(format!("{name} is {ty} here: LAS's own field has it {how}, and an extra byte as it is"));
                         slots.push(Slot { column, offset: XYZ_BYTES + dimension.offset, put });
@@ -217,9 +217,10 @@ pub(super) fn merged(
 }
 
 /// How numbers of another type come into LAS's own field, by which programs colour and choose points, and that in words; none
-/// if not all of them fit. `one`: no other column goes there, so that a point without a value has none of it.
-fn converted(dimension: &Dimension, attribute: &Attribute, [low, high]: [f64; 2], one: bool) -> Option<(Put, String)> {
+/// if not all of them fit, or a point has two.
+fn converted(dimension: &Dimension, attribute: &Attribute, known: &LasValues) -> Option<(Put, String)> {
     const MOST: f64 = 65_535.0;
+    let (LasValues { ends: [low, high], is_one: one, .. }, true) = (*known, known.is_at_most_one) else { return None };
     let is_float = matches!(attribute.ty, ScalarType::F32 | ScalarType::F64);
     let whole = || if is_float { "as the nearest whole number" } else { "as it is" }.to_owned();
     let (to, most) = match (dimension.kind, dimension.ty) {
@@ -254,6 +255,14 @@ fn converted(dimension: &Dimension, attribute: &Attribute, [low, high]: [f64; 2]
     let (scale, offset) = attribute.scaling.map_or((1.0, 0.0), |s| (s.scale, s.offset));
     let put = Put::Scaled { low: (low - offset) / scale, factor: factor * scale, to };
     (factor.is_finite() && scale != 0.0 && (one || offset == 0.0)).then_some((put, how))
+}
+
+/// Do values go into the bits of a field? More than fit are no `u8` there.
+fn fits(put: Put, known: Option<&LasValues>) -> bool {
+    match (put, known) {
+        (Put::Bits { mask, .. }, Some(known)) => known.ends[1] <= f64::from(mask),
+        _ => true,
+    }
 }
 
 /// The field of the point format for an attribute of exactly this name and type, or of one that becomes it.

@@ -190,9 +190,9 @@ fn run(context: &Context<'_>, inputs: &sources::Inputs<'_>, options: &IngestOpti
             Err(Stopped::Unreadable(of_batch)) if options.keep_going => {
                 rest.leave_out(of_batch);
                 is_settled = !report.scans.is_empty();
-                if rest.sources.is_empty() && report.scans.is_empty() {
+                if !is_settled {
                     // What they said of the CRS does not count.
-                    rest.sources_again();
+                    rest.take_up_others();
                 }
                 let any = !report.scans.is_empty() || !created && !report.skipped.is_empty();
                 if any || !rest.sources.is_empty() {
@@ -364,7 +364,7 @@ impl Rest {
     }
 
     /// Takes up what was set aside.
-    fn sources_again(&mut self) {
+    fn take_up_others(&mut self) {
         for (source, measured, _) in std::mem::take(&mut self.others) {
             self.sources.push(source);
             self.measured.push(measured);

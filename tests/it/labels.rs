@@ -212,10 +212,16 @@ fn heights_in_two_systems_are_refused_in_any_order() {
     let bytes = fs::read(&other).unwrap();
     let cut = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize + 7;
     fs::write(&other, &bytes[..cut]).unwrap();
-    let output = esker(&["ingest", &s, &other, &one, "--keep-going"]);
-    assert_eq!(output.status.code(), Some(3), "{output:?}");
-    assert_eq!(json(&["info", &s])["crs"]["vertical_epsg"], 5783);
-    assert_eq!(names(&s), ["bb"]);
+    for (inputs, there) in [(vec![&other, &one], vec!["bb"]), (vec![&other, &one, &plain], vec!["a", "bb"])] {
+        let inputs: Vec<&str> = inputs.into_iter().map(String::as_str).collect();
+        let output = esker(&[&["ingest", &s], &inputs[..], &["--keep-going"]].concat());
+        assert_eq!(output.status.code(), Some(3), "{output:?}");
+        assert_eq!(json(&["info", &s])["crs"]["vertical_epsg"], 5783);
+        let mut found = names(&s);
+        found.sort();
+        assert_eq!(found, there);
+        fs::remove_file(&s).unwrap();
+    }
 }
 
 #[test]

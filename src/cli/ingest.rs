@@ -69,7 +69,8 @@ pub(super) struct Arguments {
     /// Look for point files in folders below, too.
     #[arg(long)]
     recursive: bool,
-    /// Leave out inputs that can't be read and store the others; they are named at the end, with exit code 3.
+    /// Leave out inputs that can't be read, or are in another CRS, and store the others; they are named at the end, with exit
+    /// code 3.
     #[arg(long)]
     keep_going: bool,
     /// Wait while another process is writing to the store, instead of failing.

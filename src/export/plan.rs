@@ -133,11 +133,16 @@ fn las_values(snapshot: &Snapshot) -> BTreeMap<String, LasValues> {
             let (least, most) = has.fold((usize::MAX, 0), |(least, most), n| (least.min(n), most.max(n)));
             let is_alone = snapshot.attributes().iter().filter(|a| a.attribute.name == *name).count() == 1;
             let known = all.entry(name.clone()).or_insert(LasValues {
-                ends: [low, high],
+                ends: None,
+                own_most: 0.0,
                 is_one: least == 1 && is_alone,
                 is_at_most_one: most < 2,
             });
-            known.ends = [known.ends[0].min(low), known.ends[1].max(high)];
+            if field.ty == attribute.ty {
+                known.own_most = known.own_most.max(high);
+            } else {
+                known.ends = Some(known.ends.map_or([low, high], |[a, b]| [a.min(low), b.max(high)]));
+            }
         }
     }
     all

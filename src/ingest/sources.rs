@@ -185,24 +185,28 @@ fn open_files(inputs: &[PathBuf], options: &IngestOptions) -> Result<Opened, Ing
     Ok((opened, skipped, unreadable))
 }
 
-/// Of several scans of which one is called `name`, keeps that one; says so of the others.
-fn keep_the_one_named(name: &str, (opened, mut skipped, unreadable): Opened) -> Opened {
+/// Which of some scans of a file is called `name` in a store.
+fn called(name: &str, scans: &[Source]) -> Option<usize> {
     // What they would be called in a store that has no others; of those that are called so twice the second has a longer name.
     let mut taken = HashSet::new();
-    let called = |s: &Source| {
+    let is_called = |s: &Source| {
         let info = s.reader.info();
-        unique_name(&info.path, info.scan_name.as_deref(), s.number, &mut taken)
+        unique_name(&info.path, info.scan_name.as_deref(), s.number, &mut taken) == name
     };
-    let called: Vec<String> = opened.iter().map(called).collect();
+    let found: Vec<bool> = scans.iter().map(is_called).collect();
     let may_be = |s: &Source| {
         let (base, longer) = s.names();
         base == name || longer.is_some_and(|longer| longer == name)
     };
-    let may_be: Vec<usize> = (0..opened.len()).filter(|&i| may_be(&opened[i])).collect();
-    let place = match (called.iter().position(|called| called == name), &may_be[..]) {
-        (Some(place), _) | (None, &[place]) => place,
-        _ => return (opened, skipped, unreadable),
-    };
+    found.into_iter().position(|is| is).or_else(|| {
+        let mut places = (0..scans.len()).filter(|&i| may_be(&scans[i]));
+        places.next().filter(|_| places.next().is_none())
+    })
+}
+
+/// Of several scans of which one is called `name`, keeps that one; says so of the others.
+fn keep_the_one_named(name: &str, (opened, mut skipped, unreadable): Opened) -> Opened {
+    let Some(place) = called(name, &opened) else { return (opened, skipped, unreadable) };
     let mut kept = Vec::new();
     for (i, source) in opened.into_iter().enumerate() {
         if i == place {
@@ -376,10 +380,7 @@ pub(super) fn open_again(old: &Scan, options: &IngestOptions, progress: &dyn Pro
     };
     let same = sources.iter().position(is_old);
     let is_same = same.is_some();
-    let number = same.or_else(|| {
-        let named = sources.iter().position(|s| s.reader.info().scan_name.as_deref() == Some(&*old.name));
-        named.or((sources.len() == 1).then_some(0))
-    });
+    let number = same.or_else(|| called(&old.name, &sources).or((sources.len() == 1).then_some(0)));
     let lost = || IngestError::Changed { path: path.clone(), name: old.name.clone() };
     let mut source = number.filter(|&n| n < sources.len()).map(|n| sources.swap_remove(n)).ok_or_else(lost)?;
     let own = source.pose();

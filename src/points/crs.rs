@@ -191,6 +191,15 @@ fn is_closed(wkt: &str) -> bool {
 mod tests {
     use super::*;
 
+    /// Writers of text that know codes alone call the system so.
+    #[test]
+    fn a_system_that_is_called_unknown_is_named_by_its_codes() {
+        let wkt = r#"COMPD_CS["unknown",PROJCS["a",UNIT["metre",1]]]"#;
+        let crs = |horizontal_epsg| Crs { wkt: Some(wkt.into()), horizontal_epsg, ..Crs::default() };
+        assert_eq!(crs(Some(3005)).describe(), "EPSG:3005");
+        assert_eq!(crs(None).describe(), "unknown");
+    }
+
     #[test]
     fn codes_and_wkt_are_told_apart() {
         assert_eq!(Crs::parse(" EPSG:25832 "), Some(Crs::from_epsg(25_832, None)));

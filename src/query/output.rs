@@ -1,6 +1,7 @@
 //! What an answer's batches will look like, before the first of them: for those who write files.
 
 use super::filter::Known;
+use super::kinds::Kinds;
 use super::plan::Plan;
 use super::region::LatticeRegion;
 use super::{Query, QueryError};
@@ -47,9 +48,12 @@ pub(super) fn contributing(snapshot: &Snapshot, asked: Option<&[ScanId]>, region
     if scans.is_empty() { asked().map(|s| s.id).collect() } else { scans }
 }
 
-/// Those of some scans of which a point may pass the plan's filter, by the ranges of all of the store; all if there is none.
+/// Those of some scans of which a point may pass the plan's filter, by the ranges of all of the store; all if there is none. Also
+/// where they differ in a kind of attribute: the filter compares what all together have, and so do the points go out.
 pub(super) fn passing(plan: &Plan, scans: Vec<ScanId>) -> Result<Vec<ScanId>, QueryError> {
-    let Some(filter) = &plan.filter else { return Ok(scans) };
+    let Some(filter) = plan.filter.as_ref().filter(|_| Kinds::of(&plan.snapshot, &scans).is_empty()) else {
+        return Ok(scans);
+    };
     let zones = plan.roots.iter().map(|root| plan.nodes.zones(root)).collect::<Result<Vec<_>, _>>()?;
     let may_pass = |&id: &ScanId| {
         let Some(scan) = plan.snapshot.scan(id) else { return true };

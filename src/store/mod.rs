@@ -1,5 +1,7 @@
 //! The SQLite file: rows, snapshots, the writer, verify. `docs/format.md` has every byte and every invariant.
 
+#[cfg(test)]
+mod bookmark_tests;
 mod cache;
 mod checksum;
 mod connection;

@@ -39,7 +39,17 @@ fn columns_are_known_by_the_names_that_programs_give_them() {
         ["Classification", "ReturnNumber", "NumberOfReturns"].iter().all(|n| found.iter().any(|f| f == n)),
         "{found:?}"
     );
-    // A class that is no byte may be anything; which is meant where there are both is told.
+}
+
+/// A class that is no byte may be anything.
+#[test]
+fn which_of_two_meanings_a_name_has_in_a_filter_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = at("s.esker");
+    fs::write(at("a.csv"), "X,Y,Z,Classification\n1,2,3,2\n").unwrap();
+    esker_ok(&["ingest", &store, &at("a.csv")]);
+    assert_eq!(esker_ok(&["query", &store, "--where", "Class = 2", "--count"]), "1\n");
     fs::write(at("c.csv"), "X,Y,Z,Class\n7,8,9,0.5\n").unwrap();
     esker_ok(&["ingest", &store, &at("c.csv")]);
     let output = esker(&["query", &store, "--where", "Class = 2", "--count"]);
@@ -112,7 +122,12 @@ fn headers_with_units_and_short_words_name_coordinates() {
     fs::write(at("z.csv"), "x,y,z,h\n1,2,3,4\n").unwrap();
     esker_ok(&["ingest", &at("z.esker"), &at("z.csv")]);
     assert!(names(&at("z.esker")).contains(&"h".to_owned()));
-    // Degrees have more digits than metres.
+}
+
+#[test]
+fn columns_of_degrees_have_more_digits_than_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     fs::write(
         at("deg.csv"),
         "longitude,latitude,height\n11.57549012,48.13743256,519.25\n11.57549345,48.13743999,519.5\n",
@@ -120,6 +135,10 @@ fn headers_with_units_and_short_words_name_coordinates() {
     .unwrap();
     let report = json(&["ingest", &at("deg.esker"), &at("deg.csv")]);
     assert_eq!(report["scans"][0]["positions"], "exact", "{report}");
+    // Columns of metres are none of degrees, whatever they are called.
+    fs::write(at("m.csv"), "lon,lat,z\n689990.5,5330000.25,500\n689991,5330001,501\n").unwrap();
+    let report = json(&["ingest", &at("m.esker"), &at("m.csv")]);
+    assert!(!report["notes"].to_string().contains("degrees"), "{report}");
 }
 
 /// A scan without a point in the file changed its form and brought its columns along.
@@ -150,6 +169,15 @@ fn a_las_file_has_room_for_what_its_points_have() {
     // Whoever may have a point in the file has room: here only they do.
     let (_, length, _) = head(&["--where", "quality > 0.3 or Classification > 200"]);
     assert!(length > 30 && RawLas::read(Path::new(&las)).unwrap().records.len() == 1, "{length}");
+    // Where kinds of a colour meet the filter compares what all together have, and that is what goes out.
+    let colours = at("c.esker");
+    fs::write(at("eight.csv"), "x,y,z,red,green,blue,quality\n1,2,3,200,0,0,1\n").unwrap();
+    fs::write(at("sixteen.csv"), "x,y,z,red,green,blue\n4,5,6,300,0,0\n").unwrap();
+    esker_ok(&["ingest", &colours, &at("eight.csv"), &at("sixteen.csv")]);
+    let both = ["query", &colours, "--where", "quality = 1 and Red = 51400", "-o", &las, "--force"];
+    esker_ok(&both);
+    let record = &RawLas::read(Path::new(&las)).unwrap().records[0];
+    assert_eq!(u16::from_le_bytes([record[30], record[31]]), 51_400);
     // Other forms have the same columns everywhere.
     let rows =
         esker_ok(&["query", &store, "--where", "Classification >= 0", "--capacity", "1", "-o", "-", "--format", "csv"]);
@@ -209,7 +237,13 @@ fn two_columns_of_one_scan_are_not_added_up() {
     assert_eq!(las_of(folder.path(), "c.ply", &classes, class).0, [2, 6]);
     let both = "x,y,z,Class,Classification\n1,2,3,2,2.5\n4,5,6,6,6.5\n";
     assert_eq!(las_of(folder.path(), "c.csv", both, class).0, [3, 7], "the one that is called so, to the nearest");
-    // Points of another scan that have none have 0, whatever range the others' values have.
+}
+
+/// They had the middle of the others' range.
+#[test]
+fn points_without_an_intensity_have_none_beside_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let word = |i: usize| move |r: &[u8]| u16::from_le_bytes([r[i], r[i + 1]]);
     let pts = "3\n1 2 3 -2000\n1 2 4 0\n1 2 5 2000\n";
     let (all, _) = las_of(folder.path(), "a.pts", pts, word(12));
     assert_eq!(all, [0, 32_768, 65_535]);
@@ -222,10 +256,27 @@ fn two_columns_of_one_scan_are_not_added_up() {
     assert!(String::from_utf8_lossy(&output.stderr).contains("can't hold"), "{output:?}");
     let records = RawLas::read(Path::new(&las)).unwrap().records;
     assert!(records.iter().all(|r| word(12)(r) == 0));
-    // More returns than the field counts are no reason to write nothing.
+}
+
+/// No file was written.
+#[test]
+fn more_returns_than_the_field_counts_are_in_an_extra_byte() {
+    let folder = tempfile::tempdir().unwrap();
     let many = "x,y,z,NumReturns,ReturnNumber\n1,2,3,31,1\n1,2,4,3,2\n";
     let (returns, told) = las_of(folder.path(), "n.csv", many, |r| u16::from(r[14] >> 4));
     assert!(returns == [0, 0] && told.contains("NumberOfReturns"), "{told}");
+    // Those of another scan that has them as LAS does stay where they are.
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let store = at("m.esker");
+    let head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\n";
+    fs::write(at("f.ply"), format!("{head}property float scalar_NumberOfReturns\nend_header\n7 8 9 31\n")).unwrap();
+    fs::write(at("u.csv"), "x,y,z,NumberOfReturns,ReturnNumber\n1,2,3,3,2\n").unwrap();
+    esker_ok(&["ingest", &store, &at("f.ply"), &at("u.csv")]);
+    esker_ok(&["query", &store, "-o", &at("m.las")]);
+    let mut found: Vec<_> =
+        RawLas::read(Path::new(&at("m.las"))).unwrap().records.iter().map(|r| (r[14] & 15, r[14] >> 4)).collect();
+    found.sort_unstable();
+    assert_eq!(found, [(0, 0), (2, 3)]);
 }
 
 /// `class` became the class, and the class something else.
@@ -243,8 +294,4 @@ fn an_exact_name_goes_before_a_synonym_in_any_order() {
         assert!(found.contains(&"Classification".into()) && found.contains(&"class".into()), "{found:?}");
         assert_eq!(esker_ok(&["query", &store, "--where", "Classification = 2 and \"class\" = 7", "--count"]), "1\n");
     }
-    // Columns of metres are none of degrees, whatever they are called.
-    fs::write(at("m.csv"), "lon,lat,z\n689990.5,5330000.25,500\n689991,5330001,501\n").unwrap();
-    let report = json(&["ingest", &at("m.esker"), &at("m.csv")]);
-    assert!(!report["notes"].to_string().contains("degrees"), "{report}");
 }

@@ -54,6 +54,8 @@ fn bookmarks_are_kept_listed_printed_and_let_go() {
     // The same again, and another one, are not lost unasked.
     let keep = ["bookmark", &s, "door", "--view", &file];
     esker_fails(&keep, 1, &["the store has a bookmark 'door'"]);
+    let printed: serde_json::Value = serde_json::from_str(&esker_ok(&["bookmark", &s, "door"])).unwrap();
+    assert_eq!(printed["fov_y_deg"], 60.0);
     let plan = door.replace(r#""perspective","fov_y_deg":60"#, r#""orthographic","height":4"#);
     let plan = place.file("plan.json", &plan);
     let told_json = json(&["bookmark", &s, "door", "--view", &plan, "--force"]);
@@ -355,6 +357,16 @@ fn a_scan_that_is_read_again_as_before_is_the_same_scan() {
         assert_eq!(esker_ok(&["digest", &s]), before, "{scan}");
     }
     assert!(esker_ok(&ingest).contains("already in the store as 'm-1'"));
+    // What has changed is read, and stays where it was; that is said.
+    place.file("m.ptx", &blocks(2.0, 2).replace("1.1 2.2 3.3 1\n", "9.1 9.2 9.3 1\n"));
+    let changed = told(&["replace", &s, "m-1"]);
+    assert!(changed.contains("has changed: what it holds now is read; it stands where it stood"), "{changed}");
+    place.file("m.ptx", &blocks(2.5, 2));
+    let u = place.path("u.esker");
+    esker_ok(&["ingest", &u, &place.path("m.ptx"), "--quantum", "0.0001"]);
+    place.file("m.ptx", &blocks(3.0, 2));
+    let changed = told(&["replace", &u, "m-1"]);
+    assert!(changed.contains("what it holds now is read") && !changed.contains("stands where"), "{changed}");
 }
 
 #[test]

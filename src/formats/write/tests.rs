@@ -60,6 +60,17 @@ fn csv_has_every_name_once() {
 }
 
 #[test]
+fn an_array_has_every_name_once() {
+    // Both were `a_b`, and NumPy could not read the file.
+    let plan = plan(["a\tb", "a\nb"].map(|name| Attribute::new(name, ScalarType::U8)).to_vec());
+    let values = batch(&plan, &[[1.0, 2.0, 3.0]], (1..=2).map(|i| Column::U8(vec![i])).collect());
+    let (bytes, notes) = written(OutputFormat::Npy, &plan, &[values]).unwrap();
+    let head = String::from_utf8_lossy(&bytes);
+    assert!(head.contains("('a_b', '|u1'), ('a_b.2', '|u1')"), "{head}");
+    assert_eq!(notes.len(), 1);
+}
+
+#[test]
 fn an_archive_has_every_name_once() {
     // `a/b` was written as `a_b`, of which there was one.
     let names = ["a/b", "a_b", "a\\b"];

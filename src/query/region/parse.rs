@@ -304,6 +304,14 @@ mod tests {
     }
 
     #[test]
+    fn files_of_other_forms_of_polygons_are_named() {
+        for name in ["plots.gpkg", "a/b.SHP", "c.kml"] {
+            let error = Region::parse_polygon(name, [0.0, 1.0]).unwrap_err().to_string();
+            assert!(error.contains("is not read; polygons are read from GeoJSON and WKT"), "{error}");
+        }
+    }
+
+    #[test]
     fn shapes_are_joined_as_in_a_filter() {
         let folder = tempfile::tempdir().unwrap();
         let (plots, view) = (folder.path().join("plots (1).wkt"), folder.path().join("v.json"));

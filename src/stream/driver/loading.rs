@@ -1,5 +1,6 @@
 //! What the newest camera wants is selected, loaded and uploaded.
 
+use super::publishing::in_words;
 use super::{Done, Driver, LOADING_BYTES_PER_POINT, PREFETCH_AHEAD, RETRY_INTERVAL, Want};
 use crate::geometry::Camera;
 use crate::query::WantedPart;
@@ -115,11 +116,11 @@ impl Driver {
         let selected = match result {
             Ok(selected) => selected,
             Err(error) => {
-                let told = self.tell(&error);
+                self.tell(&error);
                 if !ahead {
                     // A store that can't be read now may be readable later, and what is drawn is not what was asked for.
                     self.unanswered.get_or_insert(since);
-                    self.retry = Some((Instant::now() + RETRY_INTERVAL, told));
+                    self.retry = Some((Instant::now() + RETRY_INTERVAL, in_words(&error)));
                 }
                 return;
             }
@@ -157,7 +158,7 @@ impl Driver {
         let loaded = match result {
             Ok(loaded) => loaded,
             Err(error) => {
-                let _ = self.tell(&error);
+                self.tell(&error);
                 self.failed.insert(key);
                 Loaded::default()
             }

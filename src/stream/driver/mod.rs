@@ -268,7 +268,7 @@ impl Driver {
                 self.next_check = Instant::now() + CHECK_INTERVAL;
                 match result {
                     Ok(outdated) => self.outdated |= outdated,
-                    Err(error) => drop(self.tell(&error)),
+                    Err(error) => self.tell(&error),
                 }
             }
             Done::Selected(content, camera, since, ahead, result) => {
@@ -301,7 +301,7 @@ impl Driver {
                 self.unanswered.get_or_insert_with(Instant::now);
                 lock(&self.shared.status).error_message = None;
             }
-            Err(error) => drop(self.tell(&error)),
+            Err(error) => self.tell(&error),
         }
     }
 

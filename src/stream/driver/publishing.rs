@@ -87,23 +87,26 @@ impl Driver {
         }
     }
 
-    /// Says what it told.
-    pub(super) fn tell(&self, error: &dyn std::error::Error) -> String {
-        let mut text = error.to_string();
-        let mut source = error.source();
-        while let Some(cause) = source {
-            text = format!("{text}: {cause}");
-            source = cause.source();
-        }
-        lock(&self.shared.status).error_message = Some(text.clone());
+    pub(super) fn tell(&self, error: &dyn std::error::Error) {
+        lock(&self.shared.status).error_message = Some(in_words(error));
         (self.shared.changed)();
-        text
     }
 
     pub(super) fn pool_failed(&self, error: &PoolError) {
         if matches!(error, PoolError::Lost(_)) {
             lock(&self.shared.status).lost = true;
         }
-        let _ = self.tell(error);
+        self.tell(error);
     }
+}
+
+/// An error with its causes.
+pub(super) fn in_words(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut source = error.source();
+    while let Some(cause) = source {
+        text = format!("{text}: {cause}");
+        source = cause.source();
+    }
+    text
 }

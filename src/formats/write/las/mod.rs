@@ -45,8 +45,10 @@ pub(super) struct LasOptions<'a> {
 /// What is known of the values of all attributes of one name, which is that of a field of LAS.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LasValues {
-    /// The least and the greatest of them, but of those that have the field's type and always fit.
-    pub ends: [f64; 2],
+    /// The least and the greatest of those that have another type than the field.
+    pub ends: Option<[f64; 2]>,
+    /// The greatest of those that have the field's type.
+    pub own_most: f64,
     /// Has every point one, and just one? Where another scan has another of them, or none, that is 0 here.
     pub is_one: bool,
     /// Has no point two of them? Then they may be added up.

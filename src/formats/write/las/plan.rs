@@ -220,7 +220,8 @@ pub(super) fn merged(
 /// if not all of them fit, or a point has two.
 fn converted(dimension: &Dimension, attribute: &Attribute, known: &LasValues) -> Option<(Put, String)> {
     const MOST: f64 = 65_535.0;
-    let (LasValues { ends: [low, high], is_one: one, .. }, true) = (*known, known.is_at_most_one) else { return None };
+    let [low, high] = known.ends.filter(|_| known.is_at_most_one && attribute.ty != dimension.ty)?;
+    let one = known.is_one;
     let is_float = matches!(attribute.ty, ScalarType::F32 | ScalarType::F64);
     let whole = || if is_float { "as the nearest whole number" } else { "as it is" }.to_owned();
     let (to, most) = match (dimension.kind, dimension.ty) {
@@ -257,10 +258,10 @@ fn converted(dimension: &Dimension, attribute: &Attribute, known: &LasValues) ->
     (factor.is_finite() && scale != 0.0 && (one || offset == 0.0)).then_some((put, how))
 }
 
-/// Do values go into the bits of a field? More than fit are no `u8` there.
+/// Do all values of a column of the field's type go into the bits that it has?
 fn fits(put: Put, known: Option<&LasValues>) -> bool {
     match (put, known) {
-        (Put::Bits { mask, .. }, Some(known)) => known.ends[1] <= f64::from(mask),
+        (Put::Bits { mask, .. }, Some(known)) => known.own_most <= f64::from(mask),
         _ => true,
     }
 }

@@ -171,9 +171,14 @@ fn a_las_file_has_room_for_what_its_points_have() {
     assert!(length > 30 && RawLas::read(Path::new(&las)).unwrap().records.len() == 1, "{length}");
     // Where kinds of a colour meet the filter compares what all together have, and that is what goes out.
     let colours = at("c.esker");
-    fs::write(at("eight.csv"), "x,y,z,red,green,blue,quality\n1,2,3,200,0,0,1\n").unwrap();
-    fs::write(at("sixteen.csv"), "x,y,z,red,green,blue\n4,5,6,300,0,0\n").unwrap();
-    esker_ok(&["ingest", &colours, &at("eight.csv"), &at("sixteen.csv")]);
+    let ply = |name: &str, columns: &str, row: &str| {
+        let head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\n";
+        let colour = "property ushort red\nproperty ushort green\nproperty ushort blue\n";
+        fs::write(at(name), format!("{head}{colour}{columns}end_header\n{row}\n")).unwrap();
+    };
+    ply("eight.ply", "property uchar quality\n", "1 2 3 200 0 0 1");
+    ply("sixteen.ply", "", "4 5 6 300 0 0");
+    esker_ok(&["ingest", &colours, &at("eight.ply"), &at("sixteen.ply")]);
     let both = ["query", &colours, "--where", "quality = 1 and Red = 51400", "-o", &las, "--force"];
     esker_ok(&both);
     let record = &RawLas::read(Path::new(&las)).unwrap().records[0];
